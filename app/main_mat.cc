@@ -1,5 +1,5 @@
 // abcal-mat: the constants of an accelerometer as a MATLAB file (version 5). Started by abcal
-// (app/results/export/mat_format.h), which so need not load libmatio and the HDF5 that it brings along.
+// (app/results/export/mat_format.h), so that abcal need not load libmatio and its dependency HDF5.
 #include <fmt/format.h>
 #include <matio.h>
 

@@ -1,5 +1,5 @@
-// abcal-pdf: gives a PDF the structure of PDF/A-3. Started by abcal (app/ground/document/weasyprint.h), which
-// so need not load the libraries for PDF and colours.
+// abcal-pdf: gives a PDF the structure of PDF/A-3. Started by abcal (app/ground/document/weasyprint.h), so
+// that abcal need not load the libraries for PDF and colours.
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <optional>

@@ -1,5 +1,5 @@
-// abcal-sign: adds the signature to a certificate. Started by abcal (app/laboratory/certificate/sign.h),
-// which so need not load the library for XML signatures.
+// abcal-sign: adds the signature to a certificate. Started by abcal (app/laboratory/certificate/sign.h), so
+// that abcal need not load the library for XML signatures.
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <stdexcept>

@@ -43,7 +43,7 @@ std::string environment(const char* name) {
   return value == nullptr ? "" : value;
 }
 
-/// One line of a header: nothing in it begins another one.
+/// One line of a header: line breaks, which would begin another one, become blanks.
 std::string one_line(std::string text) {
   for (char& c : text)
     if (c == '\n' || c == '\r') c = ' ';
@@ -78,7 +78,7 @@ class Transfer {
     set(CURLOPT_POSTFIELDS, body.data());
   }
   /// @return the status of the server's answer
-  /// @throws std::runtime_error if there is none, with curl's words
+  /// @throws std::runtime_error if the server does not answer, with curl's message
   long perform() {
     if (const CURLcode code = curl_easy_perform(curl_.get()); code != CURLE_OK)
       throw std::runtime_error(curl_easy_strerror(code));
@@ -174,7 +174,7 @@ void mail(const Json& packet) {
   deliver(transfer, server);
 }
 
-/// @return "sent", or every reason why not
+/// @return "sent", or every reason of a failure
 std::string send_all(const Json& packet) {
   std::string failures;
   const auto attempt = [&](auto&& send) {
@@ -210,8 +210,8 @@ int answer_socket() {
   return abcal::kExitFailed;
 }
 
-/// @throws std::invalid_argument unless the address is one of HTTP, which is what authorities use: a time
-/// stamp is signed, and the hash that it is for is no secret
+/// @throws std::invalid_argument unless the address is one of HTTP, which authorities use: a time stamp is
+/// signed, and the stamped hash is no secret
 void require_http(const std::string& address) {
   const std::unique_ptr<CURLU, void (*)(CURLU*)> url(curl_url(), curl_url_cleanup);
   char* text = nullptr;

@@ -3,7 +3,7 @@
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
-# Packing must not build the tests; who installs has built what is installed.
+# Packing must not build the tests; the files to be installed are built before.
 set(CMAKE_SKIP_INSTALL_ALL_DEPENDENCY ON)
 
 # Date of the manual and the changelog: that of the sources, so that a build can be repeated bit for bit.
@@ -86,8 +86,8 @@ if(TARGET abcal_python)
     ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
 endif()
 
-# Matrices go from one side to the other, so that both must allocate them alike: Eigen changes that with -mavx or GCC's address
-# sanitizer. The library is compiled with what Eigen takes without them.
+# Matrices pass between library and program, so that both must align them alike: Eigen changes that with -mavx or GCC's
+# address sanitizer. The library is compiled with Eigen's alignment without them.
 foreach(target IN LISTS library_targets ITEMS abcal_library)
   target_compile_definitions(${target} INTERFACE
     $<INSTALL_INTERFACE:EIGEN_MAX_ALIGN_BYTES=16> $<INSTALL_INTERFACE:EIGEN_MALLOC_ALREADY_ALIGNED=1>)

@@ -2,7 +2,7 @@
 # and lists the functions to be replaced, so that the build does not fail in its middle.
 include(CheckCXXSymbolExists)
 
-# symbol | header | where and what for
+# symbol | header | file that uses it: purpose
 set(linux_parts
   "renameat2|cstdio|protocol/record/run_file.cc: a run file takes its name only if nothing else has it"
   "inotify_init1|sys/inotify.h|sim/emulator.cc: whether a program has an emulated port open"

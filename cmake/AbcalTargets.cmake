@@ -8,8 +8,8 @@ if(ABCAL_WERROR)
   list(APPEND ABCAL_WARNINGS -Werror)
 endif()
 
-# GCC searches its memory for what it needs no longer, from 128 MB on: 6 % of the time of our larger translation units.
-# Where there is memory for it, it begins later. What it puts out does not change.
+# GCC collects garbage from 128 MB of memory on, which takes 6 % of the time of our larger translation units. With enough
+# memory it begins later. Its output does not change.
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   cmake_host_system_information(RESULT memory_mb QUERY TOTAL_PHYSICAL_MEMORY)
   cmake_host_system_information(RESULT processors QUERY NUMBER_OF_LOGICAL_CORES)
@@ -23,37 +23,37 @@ if(ABCAL_SANITIZE)
   add_compile_options(-fsanitize=${ABCAL_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${ABCAL_SANITIZE})
   if(ABCAL_SANITIZE MATCHES "thread")
-    # GCC's thread sanitizer does not follow atomic fences, and says so with a warning.
+    # GCC's thread sanitizer does not follow atomic fences, and warns of them.
     add_compile_definitions(BOOST_ASIO_DISABLE_FENCED_BLOCK)
   endif()
 endif()
 
-# Functions in sections of their own: a program holds those that it can reach, although a batch of sources is one object.
+# Functions in sections of their own: a program contains only those that it uses, although a batch of sources is one object.
 add_compile_options(-ffunction-sections -fdata-sections)
 add_link_options(-Wl,--gc-sections)
 
-# What is compiled once serves the programs and the shared library. No function of ours is to be replaced from outside, so
-# that calls between them can be inlined as they are in a program.
+# The same objects serve the programs and the shared library. Our functions cannot be replaced from outside, so that calls
+# between them can be inlined as in a program.
 add_compile_options("$<$<NOT:$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>>:-fPIC;-fno-semantic-interposition>")
 
-# Release builds check what they copy and keep their tables read-only (tests/install/hardening.sh looks at the program).
+# Release builds check the bounds of copies and keep their tables read-only (tests/install/hardening.sh checks the program).
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT ABCAL_SANITIZE)
   add_compile_options(-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=3 -fstack-protector-strong
     "$<$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>:-fPIE>")
   add_link_options("$<$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>:-pie>" -Wl,-z,relro -Wl,-z,now)
 endif()
 
-# A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which
-# is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
+# A whole build combines the sources of a target into few translation units: the headers that they share, which take half of
+# a clean build, are parsed once. The preset dev leaves it off, so that a changed file is compiled alone.
 option(ABCAL_UNITY "Compile the sources of a target as few translation units" OFF)
 
-# Sources never read together with others: their anonymous namespaces hold names that others have too.
+# Keeps sources out of these units: their anonymous namespaces contain names that other sources use, too.
 function(abcal_read_apart)
   set_source_files_properties(${ARGV} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
 endfunction()
 
-# Targets whose sources are all compiled one by one: fully optimised linear algebra. Together, the compiler's time and
-# memory grow faster than the code (estimators, GCC 12: 222 s and 4.6 GB as one unit, 110 s as thirteen).
+# Compiles all sources of a target one by one: fully optimised linear algebra. In one unit, the compiler's time and memory
+# grow faster than the code (estimators, GCC 12: 222 s and 4.6 GB as one unit, 110 s as thirteen).
 function(abcal_read_each_apart)
   set_target_properties(${ARGV} PROPERTIES UNITY_BUILD OFF)
 endfunction()
@@ -76,7 +76,7 @@ function(abcal_target_options target)
   target_include_directories(${target} PRIVATE ${door})
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
   if(ABCAL_QUICK_BUILD)
-    # -Og: a third less compiling than -O1 for tests. GCC sees variables as uninitialised that -O1 (preset dev) knows are not.
+    # -Og: a third less compiling than -O1 for tests. GCC then warns falsely of uninitialised variables, unlike with -O1.
     target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-Og>
       $<$<AND:$<CONFIG:Release>,$<CXX_COMPILER_ID:GNU>>:-Wno-maybe-uninitialized>)
   endif()
@@ -118,7 +118,7 @@ function(abcal_add_library name)
 endfunction()
 
 # abcal_add_driver(name SOURCES driver.cc codec.cc ... PRIVATE ...) makes the library of the driver in the folder name.
-# CODEC_NAME: what its codec is called in tests/fuzz, where that is not the name of the folder.
+# CODEC_NAME: name of its codec in tests/fuzz, if that is not the name of the folder.
 function(abcal_add_driver name)
   cmake_parse_arguments(ARG "" "CODEC_NAME" "SOURCES;PRIVATE" ${ARGN})
   abcal_add_library(${name} SOURCES ${ARG_SOURCES} PUBLIC abcal::wire PRIVATE ${ARG_PRIVATE})
@@ -129,11 +129,11 @@ function(abcal_add_driver name)
   set_property(GLOBAL PROPERTY ABCAL_CODEC_OF_${name} ${ARG_CODEC_NAME})
 endfunction()
 
-# abcal_add_test(name SOURCES ... LINK ...) makes test program name and of it two tests of ctest: all its quick
-# suites in one process, or in SHARDS of them side by side, and the suites whose name begins with "Long" (label long).
-# PROGRAM: its tests start the program abcal. TIMEOUT: seconds for the quick ones (default 300). COST: about how many seconds
-# they take where that is more than 15: the longest begin first. UNSANITIZED: not run under sanitizers, as nothing in it is
-# ours to find there.
+# abcal_add_test(name SOURCES ... LINK ...) makes the test program name and two tests of ctest from it: all its quick
+# suites in one process, or in SHARDS parallel processes, and the suites whose name begins with "Long" (label long).
+# PROGRAM: its tests start the program abcal. TIMEOUT: seconds for the quick ones (default 300). COST: their approximate
+# time in seconds if that is more than 15: the longest begin first. UNSANITIZED: not run under sanitizers, which could find
+# no fault of our code in it.
 function(abcal_add_test name)
   cmake_parse_arguments(ARG "PROGRAM;UNSANITIZED" "SHARDS;TIMEOUT;COST" "SOURCES;LINK" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
@@ -149,7 +149,7 @@ function(abcal_add_test name)
   abcal_add_test_processes(${name} ${unsanitized} SHARDS "${ARG_SHARDS}" TIMEOUT "${ARG_TIMEOUT}" COST "${ARG_COST}")
 endfunction()
 
-# The tests of ctest for one test program. What its tests say is kept in build/PRESET/test_results (scripts/test counts it).
+# The tests of ctest for one test program. Their results are kept in build/PRESET/test_results (scripts/test counts them).
 function(abcal_add_test_processes name)
   cmake_parse_arguments(ARG "UNSANITIZED" "SHARDS;TIMEOUT;COST" "" ${ARGN})
   if(NOT ARG_SHARDS)

@@ -1,8 +1,8 @@
-# What each folder of app, drivers, protocol and sim may include: layers point one way (docs/architecture.md).
+# Permitted includes of each folder of app, drivers, protocol and sim: layers point one way (docs/architecture.md).
 # layer(FOLDER [TOP] MAY folders and headers of the project... FOREIGN headers of libraries...)
 # Every folder may include itself and drivers/text/. TOP: only the files that stand directly in the folder.
 # Two programs read this list: cmake/AbcalDoors.cmake makes the include roots of the targets, so that a forbidden include
-# does not compile; tests/layering_check.cmake reads the files, and covers also libraries and folders that nobody listed.
+# does not compile; tests/layering_check.cmake reads the files, and also covers libraries and folders that are not listed.
 
 # --- drivers -------------------------------------------------------------------------------------------------------------
 layer(drivers/text)
@@ -32,7 +32,7 @@ layer(protocol/uncertainty MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fm
 layer(protocol/temperature MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/)
 
 # --- sim -----------------------------------------------------------------------------------------------------------------
-# Written apart from what it checks: it includes neither protocol nor a driver's codec.
+# Independent of the code that it tests: it includes neither protocol nor a driver's codec.
 layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Random123/)
 
 # --- app: six wings ------------------------------------------------------------------------------------------------------

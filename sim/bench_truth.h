@@ -32,7 +32,7 @@ struct WobbleHarmonic {
   bool operator==(const WobbleHarmonic&) const = default;
 };
 
-/// What one stage axis really does: actual angle = commanded angle + error(commanded angle). The error is a
+/// True behaviour of one stage axis: actual angle = commanded angle + error(commanded angle). The error is a
 /// map of the physical pose (commanded angle modulo 360 degrees) and zero at 0, where the axis has its zero.
 struct AxisTruth {
   Angle mean_step_error;     ///< F_X or F_Z: added at every angle but 0 and -90 degrees.
@@ -52,8 +52,8 @@ struct AxisTruth {
   bool operator==(const AxisTruth&) const = default;
 };
 
-/// What the accelerometer and the room do: the part of the truth that may change while the world goes on
-/// (SimBench::change). R is the response unit, g_loc the unit of acceleration.
+/// True behaviour of the accelerometer and the room: the part of the truth that may change during a
+/// simulation (SimBench::change). R is the response unit, g_loc the unit of acceleration.
 struct OutputTruth {
   /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (docs/theory/model.md), in
   /// R/g_loc.
@@ -112,7 +112,7 @@ struct OutputTruth {
   Eigen::Vector3d sensitivity_per_degc = Eigen::Vector3d::Zero(),
                   sensitivity_per_degc2 = Eigen::Vector3d::Zero(),
                   sensitivity_per_degc3 = Eigen::Vector3d::Zero();
-  /// Half the loop: added where the item came from below, subtracted where it came from above.
+  /// Half the width of the loop: added where the item came from below, subtracted where it came from above.
   Eigen::Vector3d offset_thermal_hysteresis = Eigen::Vector3d::Zero(),  ///< R
       sensitivity_thermal_hysteresis = Eigen::Vector3d::Zero();         ///< 1
 
@@ -122,9 +122,9 @@ struct OutputTruth {
 /// The simulated chamber and the item in it.
 struct ChamberTruth {
   double air_lag_s = 180.0;             ///< Time constant of the air behind the set point.
-  double item_lag_s = 600.0;            ///< Of the item behind the air.
-  double self_heating_degc = 0.0;       ///< So much warmer than the air the item is in the end.
-  double dew_point_degc = -60.0;        ///< Of the air inside: dry gas.
+  double item_lag_s = 600.0;            ///< Time constant of the item behind the air.
+  double self_heating_degc = 0.0;       ///< Final excess of the item's temperature over the air.
+  double dew_point_degc = -60.0;        ///< Dew point of the air inside: dry gas.
   double hysteresis_width_degc = 10.0;  ///< The loop of the thermal hysteresis closes within this.
 
   bool operator==(const ChamberTruth&) const = default;
@@ -132,7 +132,7 @@ struct ChamberTruth {
 
 /// The stage and its surroundings, which all items of a bench share. DrawnStage draws its random errors.
 struct StageTruth {
-  std::uint64_t seed = 1;  ///< Of the errors of the stage; item_seed() derives those of the items from it.
+  std::uint64_t seed = 1;  ///< Seed of the stage's errors; item_seed() derives those of the items from it.
   ChamberTruth chamber;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 
@@ -151,14 +151,14 @@ struct StageTruth {
   bool operator==(const StageTruth&) const = default;
 };
 
-/// One item on the stage. It has no errors of the stage: those are the stage's alone.
+/// One item on the stage, without the errors of the stage (StageTruth).
 struct ItemTruth : OutputTruth {
-  std::uint64_t seed = 1;  ///< Of its noise.
+  std::uint64_t seed = 1;  ///< Seed of its noise.
 };
 
 /// The seed of the noise of one of several items (counted from 1) on a stage.
 constexpr std::uint64_t item_seed(std::uint64_t stage_seed, int item) {
-  // Odd and far from any number that people choose: seeds of items do not meet those of other benches.
+  // Odd and far from any number that people choose: no item has the seed of another bench.
   constexpr std::uint64_t kBetweenItems = 0x9E3779B97F4A7C15;
   return stage_seed + static_cast<std::uint64_t>(item) * kBetweenItems;
 }

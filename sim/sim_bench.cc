@@ -98,7 +98,7 @@ void check(const OutputTruth& truth) {
           "finite");
 }
 
-/// The truth, once it is found to be possible: nothing is made of it before.
+/// Returns the truth if all of its numbers are possible; nothing is constructed before this check.
 ItemTruth checked(ItemTruth truth) {
   check(truth);
   return truth;
@@ -134,7 +134,7 @@ SimBench::SimBench(ItemTruth item, Platter platter, Clock::Instant start)
 }
 
 const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
-  // Nearly always the last one: look from the end.
+  // Nearly always the last one: search from the end.
   for (auto epoch = epochs_.rbegin(); epoch != epochs_.rend(); ++epoch)
     if (epoch->start <= t) return *epoch;
   return epochs_.front();
@@ -195,8 +195,8 @@ void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
   const Epoch& before = epochs_.back();
   Epoch next = before;
   next.start = t;
-  // The change of the outputs counts from the last rest at another pose; commands of one instant are one
-  // motion.
+  // For the hysteresis the change of the outputs counts from the last rest at another pose; commands at one
+  // instant are one motion.
   const bool was_at_rest = t >= before.settled && !before.motion[0].moving(t) && !before.motion[1].moving(t);
   const bool changes = motion.target() != before.motion[index(axis)].position(t);
   if (was_at_rest && changes && before.start < t) next.force_before = force(before, t);
@@ -305,7 +305,7 @@ double SimBench::span_time(Clock::Instant t) const {
   return to_seconds(t - start_) / stage().span_s - 0.5;
 }
 
-/// The base of the stage, which may tilt slowly, to the LGCS.
+/// Rotation from the base of the stage, which may tilt slowly, to the LGCS.
 Eigen::Matrix3d SimBench::floor_tilt(Clock::Instant t) const {
   const Eigen::Vector3d tilt(stage().floor_tilt_x_urad, stage().floor_tilt_y_urad, 0.0);
   return turned_by(kMicro * span_time(t) * tilt);
@@ -440,7 +440,7 @@ double SimBench::chamber_humidity_percent(Clock::Instant t) const {
   return thermal_.humidity_percent(t);
 }
 
-/// What the item's temperature does to the sensitivity.
+/// Relative change of the sensitivity with the item's temperature.
 Eigen::Array3d SimBench::thermal_gain(const OutputTruth& truth, Clock::Instant t) const {
   Eigen::Array3d gain = Eigen::Array3d::Zero();
   const bool curved = !truth.sensitivity_per_degc2.isZero(0.0) || !truth.sensitivity_per_degc3.isZero(0.0);
@@ -454,7 +454,7 @@ Eigen::Array3d SimBench::thermal_gain(const OutputTruth& truth, Clock::Instant t
   return gain;
 }
 
-/// What it does to the offset.
+/// Change of the offset (R) with the item's temperature.
 Eigen::Array3d SimBench::thermal_offset(const OutputTruth& truth, Clock::Instant t) const {
   const double d = item_temperature(truth, t) - item_.temperature_degc;
   Eigen::Array3d offset = d * (truth.offset_per_degc.array() +
@@ -473,7 +473,7 @@ SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
   for (const WorldFault& stuck : faults_) {
     if (stuck.kind != FaultKind::kStuckOutput || t < stuck.at || t >= stuck.until) continue;
     const Clock::Instant since = std::max(stuck.at, start_);
-    // The sample index of that instant is not known; any fixed one gives a value that looks like a reading.
+    // The sample index of that instant is not known; any fixed one gives a plausible reading.
     const SimOutput then = output_without_faults(epoch_at(since), since, 0, sample_period);
     if (stuck.output < 0) return then;
     output.value[stuck.output] = then.value[stuck.output];
@@ -501,7 +501,7 @@ Eigen::Array3d SimBench::gain(const OutputTruth& truth, Clock::Instant t) const 
   return gain;
 }
 
-/// What the offset does beside its linear drift and its temperature coefficient.
+/// Slow changes of the offset (R) other than its linear drift and its temperature coefficient.
 Eigen::Array3d SimBench::slow_offset(const OutputTruth& truth, Clock::Instant t) const {
   Eigen::Array3d sum = Eigen::Array3d::Zero();
   const double since_s = std::max(0.0, to_seconds(t - start_));
@@ -522,7 +522,7 @@ Eigen::Array3d SimBench::slow_offset(const OutputTruth& truth, Clock::Instant t)
   return sum;
 }
 
-/// The sensitivity matrix along the platter's axes, with the mount as it has crept.
+/// The sensitivity matrix along the platter's axes, including the creep of the mount.
 Eigen::Matrix3d SimBench::mounted_matrix(const OutputTruth& truth, Clock::Instant t) const {
   if (truth.mount_creep_urad.isZero(0.0)) return truth.sensitivity_matrix;
   const double since_s = std::max(0.0, to_seconds(t - start_));
@@ -536,7 +536,7 @@ Eigen::Array3d SimBench::bend(const OutputTruth& truth, const Eigen::Array3d& li
   Eigen::Array3d sum = square * square * (truth.k4.array() + linear * truth.k5.array()) +
                        linear.abs() * truth.asymmetry.array();
   const Eigen::Array3d norm = truth.sensitivity_matrix.rowwise().norm().array();
-  const Eigen::Array3d a = (norm > 0.0).select(linear / norm, 0.0);  // an output that feels nothing has none
+  const Eigen::Array3d a = (norm > 0.0).select(linear / norm, 0.0);  // 0 for an output without response
   const Eigen::Array3d b(a[1], a[2], a[0]);
   const Eigen::Array3d c(a[2], a[0], a[1]);
   sum += norm *
@@ -616,8 +616,8 @@ TrueIntrinsicProperties SimBench::true_intrinsic_properties() const {
 TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
   const std::lock_guard lock(mutex_);
   const OutputTruth& truth = truth_at(t);
-  // Up in the platter's frame is what the accelerometer feels; at the pose (0, 0) that frame, as it really
-  // is, defines x, y, z.
+  // The accelerometer senses the direction up in the platter's frame; at the pose (0, 0) the true platter's
+  // frame defines x, y, z.
   const Eigen::Matrix3d R_LP = floor_tilt(t) * stage_.orientation({0.0, 0.0}, {0.0, 0.0}, axis_z(t));
   const Eigen::Array3d gains = gain(truth, t);
   const Eigen::Matrix3d s = gains.matrix().asDiagonal() * mounted_matrix(truth, t) * R_LP.transpose();
@@ -668,7 +668,7 @@ std::vector<WorldFault> SimBench::faults_at(Clock::Instant t) const {
 }
 
 const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {
-  if (faults_.empty()) return nullptr;  // Asked several times for each reading.
+  if (faults_.empty()) return nullptr;  // Called several times for each reading.
   const bool of_an_axis = kind == FaultKind::kStalledAxis || kind == FaultKind::kStopsShort ||
                           kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove ||
                           kind == FaultKind::kMissedStep || kind == FaultKind::kMovedAxis ||

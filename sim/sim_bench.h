@@ -21,7 +21,7 @@
 
 namespace abcal::sim {
 
-/// What does not depend on how the accelerometer is mounted (docs/theory/model.md).
+/// True properties that do not depend on the mounting of the accelerometer (docs/theory/model.md).
 struct TrueIntrinsicProperties {
   Eigen::Vector3d sensitivity;  ///< Norms of the rows u, v, w, in R/g_loc.
   std::array<Angle, 3> angle;   ///< phi_uv, phi_vw, phi_wu.
@@ -29,7 +29,7 @@ struct TrueIntrinsicProperties {
 };
 
 /// The least-squares linear function through the noise-free outputs over all directions of gravity
-/// (docs/effects.md): what a calibration is to find.
+/// (docs/effects.md): the measurand of a calibration.
 struct TrueLineResponse {
   Eigen::Matrix3d
       sensitivity_matrix;  ///< Rows u, v, w along x, y, z of the LGCS, default orientation; R/g_loc.
@@ -43,12 +43,12 @@ struct SimOutput {
   double temperature_degc = 0.0;
 };
 
-/// One world, shared by the simulated stage and the simulated accelerometer, so that turning the one changes
-/// what the other reads. Angles are the protocol's: right-handed about X and Z, zero at the default
-/// orientation.
+/// One world, shared by the simulated stage and the simulated accelerometer, so that a turn of the stage
+/// changes the readings of the accelerometer. Angles are the protocol's: right-handed about X and Z, zero at
+/// the default orientation.
 ///
-/// Everything is a function of time and of the moves commanded so far: asking changes nothing, and the past
-/// may be asked about (the last 4096 moves are kept). Results depend on the pose, the time and the sample
+/// Everything is a function of time and of the moves commanded so far: a query changes nothing, and may be
+/// about the past (the last 4096 moves are kept). Results depend on the pose, the time and the sample
 /// index, never on the order of calls; the only history a pose has is backlash and hysteresis. Moves must be
 /// commanded in order of time.
 ///
@@ -62,27 +62,27 @@ class SimBench {
   explicit SimBench(const BenchTruth& truth, Clock::Instant start = Clock::Instant{});
   SimBench(const ItemTruth& item, const StageTruth& stage, Clock::Instant start);
 
-  /// The world of another item on the same stage. From now on it is told all that the stage and the chamber
-  /// of this one are told; of faults and changes it is told by itself.
+  /// The world of another item on the same stage. From now on it receives all commands to the stage and the
+  /// chamber of this one; faults and changes are its own.
   /// @throws std::invalid_argument if the truth has a number that cannot be.
   std::shared_ptr<SimBench> add_item(ItemTruth item);
 
   const StageTruth& stage() const { return stage_.truth(); }
-  const ItemTruth& item() const { return item_; }  ///< As at the start.
+  const ItemTruth& item() const { return item_; }  ///< As at the start of the world's time.
   Clock::Instant start() const { return start_; }
 
   // The stage.
 
-  /// Commands a move at `t`; it may replace one under way. Travel is the controller's business, not the
-  /// world's.
+  /// Commands a move at `t`; it may replace one under way. The controller limits the travel, not the
+  /// world.
   /// @throws std::invalid_argument if the target is not finite or `t` is before the last command.
   void move(StageAxis axis, Angle target, Clock::Instant t);
-  /// At rest at `angle` from `t` on, without a motion: where a real stage was seen to be (FollowedStage).
+  /// Places an axis at rest at `angle` from `t` on, without a motion: follows a real stage (FollowedStage).
   /// @throws std::invalid_argument if the angle is not finite or `t` is before the last command.
   void place(StageAxis axis, Angle angle, Clock::Instant t);
   /// Decelerates to rest.
   void halt(StageAxis axis, Clock::Instant t);
-  /// Speed and accelerations of the moves from now on; the truth's at the start.
+  /// Speed and accelerations of the moves from now on; initially those of the truth.
   void set_motion_limits(StageAxis axis, const MotionLimits& limits);
   MotionLimits motion_limits(StageAxis axis) const;
 
@@ -90,11 +90,11 @@ class SimBench {
   /// When the motion under way at `t` ends (Instant::max() if it has stalled), or when the last one ended.
   Clock::Instant motion_end(StageAxis axis, Clock::Instant t) const;
   Angle target(StageAxis axis, Clock::Instant t) const;
-  /// Where the axis thinks it is: the commanded coordinate, exact.
+  /// The commanded coordinate, exact.
   Angle commanded_angle(StageAxis axis, Clock::Instant t) const;
   /// commanded_angle() to the encoder's resolution. The encoder does not see the stage's errors.
   Angle encoder_angle(StageAxis axis, Clock::Instant t) const;
-  /// Where the axis really is: commanded angle + error (+ backlash).
+  /// The true angle: commanded angle + error (+ backlash).
   Angle actual_angle(StageAxis axis, Clock::Instant t) const;
   /// The error of an axis at rest, without backlash (DrawnStage::error).
   Angle stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const;
@@ -111,11 +111,11 @@ class SimBench {
                    Clock::Duration sample_period = Clock::Duration::zero()) const;
   double temperature_degc(Clock::Instant t) const;
 
-  // The chamber, if the bench has one. Until it is told anything the item has the temperature of the truth;
+  // The chamber, if the bench has one. Until its first command the item has the temperature of the truth;
   // from then on that of the chamber.
 
   void command_chamber(const ChamberCommand& command, Clock::Instant t);
-  bool chamber_in_use() const;  ///< It was told anything.
+  bool chamber_in_use() const;  ///< It has received a command.
   ChamberCommand commanded_chamber() const;
   double chamber_set_point(Clock::Instant t) const;
   double chamber_air(Clock::Instant t) const;
@@ -126,22 +126,21 @@ class SimBench {
   /// in the rate.
   BodyMotion body_motion(Clock::Instant t) const;
 
-  /// From `at` on the accelerometer and the room are as `truth` says: a mounting slip, a jump of the
-  /// temperature, vibration. Time of drift and temperature goes on from the start; the temperature that
-  /// offset_per_degc counts from stays the first.
+  /// Changes the accelerometer and the room to `truth` from `at` on: a mounting slip, a jump of the
+  /// temperature, vibration. The time of drift and temperature still counts from the start, and
+  /// offset_per_degc from the first temperature.
   /// @throws std::invalid_argument if a number cannot be, or if `at` is before the last change.
   void change(const OutputTruth& truth, Clock::Instant at);
-  OutputTruth output_truth(Clock::Instant t) const;  ///< As in force at `t`.
+  OutputTruth output_truth(Clock::Instant t) const;  ///< The one in force at `t`.
 
-  // What results are compared with: the truth at the start.
+  // Reference values for results: the truth at the start.
 
   /// Rows u, v, w along x, y, z of the LGCS at the default orientation, already tilted: RRF(s_j, E, Theta_E);
   /// R/g_loc.
   Eigen::Matrix3d true_sensitivity_matrix() const;
   TrueIntrinsicProperties true_intrinsic_properties() const;
   /// With drift, creep, tilt, slow noise and non-linearity as they are at `t`; without hysteresis. The
-  /// default orientation is the pose (0, 0) as it really is, wobble and sag included. White noise is left
-  /// out.
+  /// default orientation is the true pose (0, 0), wobble and sag included. White noise is left out.
   TrueLineResponse true_line_response(Clock::Instant t) const;
 
   // Faults.
@@ -163,7 +162,7 @@ class SimBench {
   };
   SimBench(ItemTruth item, Platter platter, Clock::Instant start);
 
-  struct Epoch {  ///< From one command to the next.
+  struct Epoch {  ///< The time from one command to the next.
     Clock::Instant start;
     Clock::Instant settled;  ///< When both axes have arrived, as planned.
     std::array<AxisMotion, 2> motion;
@@ -181,7 +180,7 @@ class SimBench {
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
-  struct Turn {  ///< Of both axes, rad.
+  struct Turn {  ///< Angles of both axes, rad.
     std::array<double, 2> actual{};
     std::array<double, 2> commanded{};
   };

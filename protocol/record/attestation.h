@@ -25,7 +25,7 @@ struct Attestation {
   std::vector<IntegrityCheck> checks;  ///< Checks of the existing parts; an invalid part is not good.
   bool is_signed = false;              ///< A trusted key made the signature, and it is valid.
   bool is_stamped = false;             ///< A trusted authority issued the time stamp, and it is valid.
-  std::string words;                   ///< What can be attested and what cannot, in one sentence.
+  std::string words;                   ///< Attested and unattested facts, in one sentence.
 };
 
 /// Checks the signature and the time stamp of a closed run against its present bytes.

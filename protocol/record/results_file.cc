@@ -24,7 +24,7 @@ create table if not exists certificate(id integer primary key, utc text, number 
                                        item integer);
 )";
 
-/// Completes results that an earlier abcal began: they stay readable, and `verify` reports what they lack.
+/// Adds columns to results of an earlier abcal: they stay readable, and `verify` reports missing data.
 void add_missing_columns(SqliteDatabase& database) {
   if (!database.has_column("analysis", "chain"))
     database.execute("alter table analysis add column chain text");

@@ -372,7 +372,7 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
   remove_draft();
   try {
     {
-      // No write-ahead log is used, because the rename would leave behind what a failing disk left in it.
+      // No write-ahead log is used, because the rename would not include data that a failing disk left in it.
       SqliteDatabase database(draft, SqliteDatabase::Mode::kCreate);
       database.execute(kWaitForDisk);
       Transaction transaction(database);

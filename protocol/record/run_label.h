@@ -16,6 +16,6 @@ inline constexpr const char* kPointLabel = "temperature.point";   ///< "3 of 15"
 inline constexpr const char* kLegLabel = "temperature.leg";       ///< "up"
 inline constexpr const char* kSetLabel = "temperature.set_degc";  ///< "-40"
 inline constexpr const char* kSoakLabel = "temperature.soak";     ///< In words.
-inline constexpr const char* kPlanLabel = "temperature.plan";     ///< What its plan was found for, if it was.
+inline constexpr const char* kPlanLabel = "temperature.plan";  ///< Target of the plan search: "reach s=2e-5".
 
 }  // namespace abcal

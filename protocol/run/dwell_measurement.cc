@@ -12,9 +12,9 @@
 namespace abcal {
 namespace {
 
-/// Disturbances that may be over the next time: the angle is measured again.
+/// Disturbances that may have ended at the next attempt: the angle is measured again.
 constexpr std::uint32_t kTransientFlags = kFlagNotQuiet | kFlagStuck | kFlagOutsideWindow;
-/// Between two looks at the temperature while the run waits for it.
+/// Interval between two readings of the temperature while the run waits for it.
 constexpr Clock::Duration kTemperatureInterval = std::chrono::seconds(5);
 
 }  // namespace

@@ -13,7 +13,7 @@
 
 namespace abcal {
 
-/// Measures one angle: moves there, settles, reads, and repeats it where a disturbance may have passed.
+/// Measures one angle: moves to it, settles and reads, and repeats this after a transient disturbance.
 class DwellMeasurement {
  public:
   /// All must outlive this.
@@ -30,17 +30,17 @@ class DwellMeasurement {
   std::vector<ItemDwell> measure(std::size_t position, const PlannedAngle& angle);
 
  private:
-  /// Of one item.
+  /// Times and readings of the dwell of one item.
   struct Window {
     Clock::Instant stopped, begin, end;
     bool quiet = true;
-    std::uint64_t lost = 0;  ///< As the driver knows.
+    std::uint64_t lost = 0;  ///< Counted by the driver.
     std::vector<Reading> readings;
     DwellStatistics statistics;
   };
   struct Encoders {
     Angle x, z;
-    bool inside = false;  ///< Before the dwell and after it.
+    bool inside = false;  ///< Inside the position window before the dwell and after it.
   };
   using Windows = std::map<int, Window>;  ///< By number of the item.
   std::map<int, ItemDwell> measure_once(std::size_t position, const PlannedAngle& angle,
@@ -49,10 +49,10 @@ class DwellMeasurement {
   void read(const ItemChannels::Channels& pending, Windows& windows) const;
   ItemDwell item_dwell(const PlannedAngle& angle, const ItemChannel& channel, const Window& window,
                        const Encoders& encoders) const;
-  /// Of one item at one angle.
+  /// State of the repetitions for one item at one angle.
   struct Attempts {
     int repeats_left = 0;
-    std::uint32_t marks = kFlagNone;  ///< What was done so far.
+    std::uint32_t marks = kFlagNone;  ///< Flags for the dwell: repeated, held.
     std::optional<Clock::Instant> temperature_deadline;
   };
   bool must_be_repeated(std::size_t position, const PlannedAngle& angle, ItemChannel& channel,

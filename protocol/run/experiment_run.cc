@@ -19,7 +19,7 @@
 namespace abcal {
 namespace {
 
-/// The order in which the parts of a run take their turns, and what is measured already.
+/// Executes the parts of a run in order, and keeps the positions that are measured already.
 class ExperimentRun {
  public:
   /// The stage must be identified.
@@ -63,7 +63,7 @@ class ExperimentRun {
   }
 
  private:
-  /// @param again Also where the controller still knows its reference: it may have been turned by hand since.
+  /// @param again  also if the controller still knows its reference: the axis may have been turned by hand
   void home(bool again) {
     for (const StageAxis axis : kStageAxes) {
       if (context_.stage_info.axes[index(axis)].referenced && !again) continue;
@@ -103,7 +103,7 @@ class ExperimentRun {
     }
   }
 
-  /// Goes on without the items that have failed.
+  /// Drops the items that have failed; the run continues without them.
   void drop_failed() {
     for (const auto& channel : items_.take_failed()) {
       const std::size_t others = items_.active().size();
@@ -117,14 +117,14 @@ class ExperimentRun {
     }
   }
 
-  /// Of the first angle that is not measured.
+  /// Position of the first angle that is not measured.
   std::size_t next_position() const {
     std::size_t position = 0;
     while (measured_.contains(position)) ++position;
     return position;
   }
 
-  /// Waits between two angles while a person wants it.
+  /// Waits between two angles while the operator holds the run.
   void hold_if_wanted(std::size_t position) {
     RunJournal& journal = context_.journal;
     if (!journal.hold_wanted()) return;
@@ -137,7 +137,7 @@ class ExperimentRun {
     journal.record("continued", describe(plan_[position]));
   }
 
-  /// After an interruption: the last angle must read as it did.
+  /// After an interruption: measures the last angle again, whose readings must not have changed.
   void measure_last_again(const RunProgress::LastAngle& last) {
     const PlannedAngle& angle = plan_[last.position];
     std::vector<ItemDwell> measured = measurement_.measure(last.position, angle);
@@ -169,7 +169,7 @@ class ExperimentRun {
   }
 
   void commit(std::size_t position, std::vector<ItemDwell>& measured) {
-    const bool is_check = measured_.contains(position);  // Of an angle that is there already.
+    const bool is_check = measured_.contains(position);  // The file has this angle already.
     const bool last =
         position + 1 == plan_.size() || plan_[position + 1].experiment != plan_[position].experiment;
     for (ItemDwell& each : measured) {
@@ -211,7 +211,7 @@ class ExperimentRun {
     try {
       for (const StageAxis axis : kStageAxes) motion_.move_to(axis, Angle{});
     } catch (const InstrumentError& error) {
-      // All angles are measured: the run is complete even so, but the person must know.
+      // All angles are measured: the run is complete all the same, but the operator must know.
       const HaltOutcome halt = halt_stage(instruments_.stage);
       context_.journal.notify(
           "park failed", fmt::format("all angles are measured, but the stage could not be parked: {}; {}",
@@ -273,9 +273,9 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
                                  const Tolerances& tolerances) {
   const Eigen::Vector3d none = Eigen::Vector3d::Zero();
   const Eigen::Vector3d u_before = before.u_mean.value_or(none), u_after = after.u_mean.value_or(none);
-  // The response to gravity is at most the norm of the outputs, offsets aside; turning by a small angle
-  // changes it by that times the angle. The reference and the step are found again each time: both differ
-  // twice.
+  // The response to gravity is at most the norm of the outputs, apart from offsets; a turn by a small angle
+  // changes it by that times the angle. Zero and step have independent errors in both measurements, hence
+  // the factor sqrt 2.
   const double response = std::max(before.mean.norm(), after.mean.norm());
   const double turned = std::hypot(tolerances.zero.rad(), tolerances.step.rad()) * std::numbers::sqrt2;
   const double stage = response * std::hypot(turned, tolerances.drift);

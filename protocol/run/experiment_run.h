@@ -17,31 +17,31 @@
 
 namespace abcal {
 
-/// What an interrupted run already contains; empty for a new one.
+/// Measurements that an interrupted run already contains; empty for a new run.
 struct RunProgress {
   std::set<std::size_t> measured;  ///< Positions in the plan.
   RunTiming spent;
-  /// The latest angle that is suitable for a comparison. It is measured again before the run continues,
-  /// after both axes were homed again, and must read the same within what tolerances, noise and drift
-  /// explain at a false alarm in 1e6.
+  /// The latest angle that is suitable for a comparison. It is measured again before the run continues, after
+  /// both axes were homed again. Tolerances, noise and drift must explain any change of its readings (false
+  /// alarm: once in 1e6).
   struct LastAngle {
     std::size_t position = 0;
     std::map<int, DwellRecord> dwells;  ///< By number of the item.
   };
   std::optional<LastAngle> last;
-  /// Of the first angle, by number of the item, if it is measured already.
+  /// Temperatures at the first angle, by number of the item, if it is measured already.
   std::map<int, double> first_temperatures_degc;
 };
 
-/// What is to be measured.
+/// The plan of a run, its settings and the angles measured already.
 struct RunTask {
   const std::vector<PlannedAngle>& plan;
   RunSettings settings;
   RunProgress so_far;
 };
 
-/// Whether measuring an angle again shows if the accelerometer has moved: not if an output was stuck, clipped
-/// or not finite, because that dwell is already known to be wrong.
+/// Whether a repetition of the angle can show that the accelerometer has moved: not if an output was stuck,
+/// clipped or not finite, because that dwell is already known to be wrong.
 bool can_be_compared_with(const DwellRecord& dwell);
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
@@ -61,11 +61,10 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// interruption: same instruments, the axes homed again if the stage was lost, the last angle measured
 /// again and compared, the angle under way repeated.
 ///
-/// One of several items that falls silent, or whose port does not come back, is dropped, and the run goes on
-/// with the others. Readings that cannot be true, or contradict gravity, end the run whichever item they are
-/// of.
+/// If one of several items sends no more readings, or its port does not come back, it is dropped, and the run
+/// continues with the others. Readings of any item that cannot be true, or contradict gravity, end the run.
 ///
-/// Whatever ends it early, the stage is halted, the accelerometer stopped, and the run left interrupted with
+/// If the run ends early, the stage is halted, the accelerometer stopped, and the run left interrupted with
 /// the reason in its file: the first cause, also where a halt made the call under way fail.
 /// @throws InstrumentError (its text says if the stage did not acknowledge the halt), RunFileError,
 /// RunInterrupted.

@@ -40,7 +40,7 @@ ItemChannels::ItemChannels(const RunContext& context, const RunInstruments& inst
         first == first_temperatures_degc.end() ? std::nullopt : std::optional(first->second)));
     channels_.back()->failure = failure;
   }
-  // The fastest first: what the others have made meanwhile waits for its turn.
+  // The fastest first: readings that the others make meanwhile wait for their turn.
   std::ranges::stable_sort(channels_, std::greater{},
                            [](const auto& channel) { return channel->context.accelerometer_info.rate_hz; });
   link_sources();

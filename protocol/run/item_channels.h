@@ -16,7 +16,7 @@
 
 namespace abcal {
 
-/// One item of a run: its accelerometer, and what the run knows of it.
+/// One item of a run: its accelerometer, and the state of the run for it.
 struct ItemChannel {
   /// @param item_context of an accelerometer that is identified
   ItemChannel(const RunContext& item_context, int number, Accelerometer& its_accelerometer,
@@ -30,13 +30,13 @@ struct ItemChannel {
   ItemChannel(const ItemChannel&) = delete;
   ItemChannel& operator=(const ItemChannel&) = delete;
 
-  int k = 1;  ///< As in the run file.
+  int k = 1;  ///< Number in the run file.
   RunContext context;
   Accelerometer& accelerometer;
   ReadingSource readings;
   Settling settling;
   PlausibilityCheck plausibility;
-  std::optional<InstrumentError> failure;  ///< It takes no further part.
+  std::optional<InstrumentError> failure;  ///< Present: the item takes no further part.
 };
 
 /// The items of a run that take part in it. They settle and are read at once.
@@ -67,7 +67,7 @@ class ItemChannels {
   /// would be left
   std::vector<std::unique_ptr<ItemChannel>> take_failed();
 
-  /// Starts the outputs anew.
+  /// Starts the outputs again.
   void start() const;
   void stop() const noexcept;
 

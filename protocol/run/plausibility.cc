@@ -15,8 +15,8 @@ namespace {
 /// Fewest readings from which anything is concluded.
 constexpr std::int64_t kFewReadings = 8;
 
-/// What noise usually does to an output; of one that was frozen from the start, what it does to the quietest
-/// of the others, where that is well above the resolution: outputs of one accelerometer have noise alike.
+/// Usual spread of an output. If it was frozen from the start, that of the quietest of the others, if well
+/// above the resolution: the outputs of one accelerometer have similar noise. 0: not known.
 double usual_of(const Eigen::Vector3d& usual_spread, int output, double resolution) {
   if (!std::isnan(usual_spread[output])) return usual_spread[output];
   double quietest = std::numeric_limits<double>::infinity();
@@ -36,7 +36,7 @@ bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vect
     // Rounding to the resolution is part of the usual spread.
     const double rounding = resolution * resolution / 12.0;
     const double noise = std::sqrt(std::max(usual * usual - rounding, 0.0));
-    // The likeliest step holds so much of the noise; all readings but the first must fall into it as well.
+    // Probability of the likeliest step of the resolution; all readings but the first must fall into it.
     const double one = noise > 0.0 ? std::erf(resolution / (2.0 * std::numbers::sqrt2 * noise)) : 1.0;
     if (std::pow(one, static_cast<double>(statistics.count - 1)) <= kFalseAlarm) return true;
   }

@@ -15,9 +15,9 @@
 namespace abcal {
 
 /// Whether an output that did not change at all during a dwell must be stuck: noise of the usual spread would
-/// have moved it by a step of its resolution, but for one dwell in 1e6. `resolution` 0: not known, any spread
-/// moves it. Of an output whose usual spread is NaN (frozen since the start) it is that of the quietest of
-/// the others.
+/// have changed it by a step of its resolution, except in one of 1e6 dwells. `resolution` 0: not known, any
+/// spread changes it. An output whose usual spread is NaN (frozen since the start) is judged by the spread of
+/// the quietest of the others.
 bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
               double resolution);
 
@@ -26,7 +26,7 @@ bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vect
 bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
                double resolution, const LimitsConfig& limits);
 
-/// What is wrong with a temperature, in words; nothing if it is within its limits or not known.
+/// Description of a temperature outside its limits; absent if it is within them or not known.
 std::optional<std::string> temperature_excess(std::optional<double> temperature_degc,
                                               std::optional<double> first_degc, const LimitsConfig& limits,
                                               const Tolerances& tolerances);
@@ -35,17 +35,17 @@ std::optional<std::string> temperature_excess(std::optional<double> temperature_
 /// @param nominal  R for one g_loc
 bool norm_is_wrong(const Eigen::Vector3d& mean, double nominal, const LimitsConfig& limits);
 
-/// The response to one g_loc that the angles of one experiment show, free of offset and mounting: the root
-/// mean square of half the differences between angles 180 degrees apart. Nothing unless such pairs go round
-/// the circle evenly, at least three of them.
+/// The response to one g_loc from the angles of one experiment, free of offset and mounting: the root mean
+/// square of half the differences between angles 180 degrees apart. Absent unless at least three such pairs
+/// are spread evenly over the circle.
 std::optional<double> response_of_circle(std::span<const DwellRecord> experiment);
 
-/// What is wrong with the full scale, in words; nothing if it is as nominal.
+/// Description of a wrong full scale; absent if it is as nominal.
 std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
                                              const ExpectedItem& item);
 
-/// Whether outputs and temperature stand still enough to begin: over the last `stability_s` of these windows
-/// the means stay within the limit, and so do the temperatures.
+/// Means over one window of readings before the first angle. is_stable() tests whether the run may begin:
+/// means and temperatures stay within their limits over the last `stability_s` of the windows.
 struct StabilityWindow {
   double end_s = 0.0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();    ///< R

@@ -14,32 +14,32 @@
 
 namespace abcal {
 
-/// Compares what is measured at each angle with what can be true: with the angle before, the usual spread,
-/// the first temperature and local gravity (protocol/run/plausibility.h). Remembers what it needs of the
-/// angles before.
+/// Compares the readings at each angle with possible values: with the angle before, the usual spread, the
+/// first temperature and local gravity (protocol/run/plausibility.h). Keeps the data that it needs from
+/// earlier angles.
 class PlausibilityCheck {
  public:
   /// `context` must outlive this; its accelerometer must be identified.
   PlausibilityCheck(const RunContext& context, std::optional<double> first_temperature_degc);
 
-  /// Readings that cannot be true end the run; they are not averaged into a number that looks right.
-  /// @param read  How many readings `statistics` was made from.
+  /// Readings that cannot be true end the run; they are not averaged into a plausible number.
+  /// @param read  Number of readings, those that are not finite included.
   /// @throws InstrumentError kImplausible: not finite, too many lost, the same three numbers at two angles;
-  /// of one of several items also a direction that is not that of gravity: it may have come loose.
+  /// with several items also a direction that is not that of gravity: the item may have come loose.
   void require_possible(const PlannedAngle& angle, const DwellStatistics& statistics, std::size_t read) const;
 
   /// Flags for a stuck output, spread above the usual, temperature, norm of the readings.
   std::uint32_t flags(const DwellStatistics& statistics,
                       const std::optional<Eigen::Vector3d>& usual_spread) const;
 
-  /// What is wrong with a temperature, in words.
+  /// Description of a temperature outside its limits.
   std::optional<std::string> temperature_excess(std::optional<double> temperature_degc) const;
 
-  /// What the circle of an experiment says of unit and full scale, in words, where something is wrong.
-  /// @param dwell  One more angle of the experiment; @param last  the last one.
+  /// Description of a wrong unit or full scale that the circle of an experiment shows; else absent.
+  /// @param dwell  One more angle of the experiment. @param last  It is the last one.
   std::optional<std::string> full_scale_excess(const DwellRecord& dwell, bool last);
 
-  /// The angle is measured and kept: the next one is compared with it.
+  /// Keeps a measured angle: the next one is compared with it.
   void remember(const DwellRecord& dwell);
 
  private:
@@ -49,7 +49,7 @@ class PlausibilityCheck {
   std::optional<double> nominal_;  ///< R for one g_loc.
   std::optional<double> first_temperature_degc_;
   std::optional<Eigen::Vector3d> previous_mean_;
-  std::vector<DwellRecord> circle_;  ///< Of the experiment under way.
+  std::vector<DwellRecord> circle_;  ///< Dwells of the experiment under way.
 };
 
 }  // namespace abcal

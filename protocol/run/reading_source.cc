@@ -11,9 +11,9 @@
 namespace abcal {
 namespace {
 
-/// Longest wait for one of several items between two looks at the others.
+/// Longest wait for one of several items before the others are polled.
 constexpr Clock::Duration kSliceBesideOthers = std::chrono::milliseconds(5);
-/// Most readings that are kept for an item that nobody reads; older ones are dropped.
+/// Largest number of readings kept for an item that is not read; older ones are dropped.
 constexpr std::size_t kMostWaiting = 65536;
 
 }  // namespace

@@ -13,8 +13,8 @@ namespace abcal {
 
 /// The readings of an accelerometer, one after the other; a silent accelerometer is an error.
 ///
-/// Those of several items are read at once by one thread: while one is waited for, what the others have made
-/// is taken from their drivers and kept until they are read.
+/// One thread reads several items at once: while it waits for one, the readings of the others are taken from
+/// their drivers and kept until they are read.
 class ReadingSource {
  public:
   /// Both must outlive this.
@@ -28,17 +28,17 @@ class ReadingSource {
   /// @throws InstrumentError kNoReply after reading_timeout_s without any, kLinkLost. RunInterrupted.
   std::vector<Reading> read(std::size_t count);
 
-  /// Discards what arrived before now.
+  /// Discards readings that arrived before now.
   void discard_pending() {
     waiting_.clear();
     accelerometer_.discard_pending();
   }
-  /// Forgets what was read and how it ended: the accelerometer is started again.
+  /// Forgets readings and failure, because the accelerometer is started again.
   void restart() {
     waiting_.clear();
     failure_.reset();
   }
-  /// Readings lost so far, as the driver knows.
+  /// Readings lost so far, counted by the driver.
   std::uint64_t lost() const { return accelerometer_.health().lost_readings; }
 
  private:
@@ -48,8 +48,8 @@ class ReadingSource {
   const RunContext& context_;
   Accelerometer& accelerometer_;
   std::vector<ReadingSource*> others_;
-  std::deque<Reading> waiting_;             ///< Made while another one was read.
-  std::optional<InstrumentError> failure_;  ///< After them.
+  std::deque<Reading> waiting_;             ///< Taken while another item was read.
+  std::optional<InstrumentError> failure_;  ///< Thrown after the readings in waiting_.
 };
 
 }  // namespace abcal

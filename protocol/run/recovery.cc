@@ -7,15 +7,15 @@
 namespace abcal {
 namespace {
 
-/// Between two attempts to open a port that vanished.
+/// Interval between two attempts to open a port that vanished.
 constexpr Clock::Duration kReconnectInterval = std::chrono::milliseconds(500);
 
-/// Whether what failed may be back at the next attempt. No reply: its firmware may still be starting.
+/// Whether the instrument may be back at the next attempt. No reply: its firmware may still be starting.
 bool may_come_back(Fault fault) {
   return fault == Fault::kCannotOpen || fault == Fault::kLinkLost || fault == Fault::kNoReply;
 }
 
-/// As far as they say which they are.
+/// Throws if the descriptions of the instrument before and now differ.
 void require_same(const std::string& name, const std::string& before, const std::string& now) {
   if (before == now) return;
   throw InstrumentError(

@@ -10,18 +10,18 @@
 
 namespace abcal {
 
-/// Waits for ports that vanished and makes sure that what comes back has the same model and the
-/// same serial number, if it has one.
+/// Waits for ports that vanished and makes sure that the instrument that comes back has the same model and
+/// the same serial number, if it has one.
 class Recovery {
  public:
   /// All must outlive this.
   Recovery(RunContext& context, const RunInstruments& instruments, const ItemChannels& items)
       : context_(context), instruments_(instruments), items_(items) {}
 
-  /// Whether the run can wait for what was lost.
+  /// Whether the run can wait for the lost instrument.
   bool is_possible(const InstrumentError& error) const;
 
-  /// Halts what can be halted, waits until what was unplugged is back (replug_timeout_s), and halts the stage
+  /// Halts the stage if possible, waits until the lost ports are back (replug_timeout_s), and halts the stage
   /// again, so that it is at rest when the run continues.
   /// @param position  In the plan, for the observer.
   /// @return whether the axes must be homed again: the stage was lost, and may have lost its supply.

@@ -31,14 +31,14 @@ struct RunSettings {
   double g_loc_mps2 = kStandardGravity;
 };
 
-/// Tells the run file and the observer what happens, and keeps what the run is doing, for messages.
+/// Reports events to the run file and to the observer, and keeps the present activity for messages.
 class RunJournal {
  public:
   /// Both must outlive this.
   RunJournal(RunFile& file, RunObserver& observer, const StoppableClock& clock)
       : file_(file), observer_(observer), clock_(clock), clock_watch_(clocks()) {}
 
-  /// "homing axis X", "experiment 1, alpha = 5 deg": where an error happened.
+  /// Activity for error messages: "homing axis X", "experiment 1, alpha = 5 deg".
   void set_activity(std::string activity) { activity_ = std::move(activity); }
   const std::string& activity() const { return activity_; }
 
@@ -46,22 +46,22 @@ class RunJournal {
   void dwells(std::size_t position, std::span<const ItemDwell> dwells) { observer_.dwells(position, dwells); }
   bool hold_wanted() { return observer_.hold_wanted(); }
 
-  /// Into the run file only.
+  /// Writes an event to the run file only.
   void record(std::string_view kind, std::string_view text) {
     file_.append_event(format_utc(file_.utc(clock_.now())), kind, text);
   }
-  /// Into the run file and to the observer.
+  /// Writes an event to the run file and reports it to the observer.
   /// @param item  as in RunObserver::notice()
   void notify(std::string_view kind, std::string_view text, std::optional<int> item = {}) {
     record(kind, text);
     observer_.notice(kind, text, item);
   }
-  /// Into the run file and to the observer: the run goes on without an item, from an angle on.
+  /// Writes to the run file and reports to the observer that the run continues without an item.
   void drop_item(int item, std::size_t position, std::string_view text) {
     file_.drop_item(item, position, format_utc(file_.utc(clock_.now())), text);
     observer_.notice(kItemDroppedEvent, text, item);
   }
-  /// Notes a step that the system clock made since the call before.
+  /// Reports a step of the system clock since the last call.
   void check_system_clock() {
     if (const auto step = clock_watch_.find_step(clocks())) notify(kClockStepEvent, *step);
   }
@@ -76,7 +76,7 @@ class RunJournal {
   std::string activity_ = "starting";
 };
 
-/// Where the time of a run goes, that before an interruption included.
+/// Time spent on each activity of a run, including the time before an interruption.
 class RunStopwatch {
  public:
   RunStopwatch(const StoppableClock& clock, const RunTiming& spent_before)
@@ -91,7 +91,7 @@ class RunStopwatch {
     return spent_before_.total_s() + to_seconds(instant - begin_);
   }
 
-  /// So far. Overhead is what no motion, settling or dwell accounts for.
+  /// Times so far. Overhead is the time that motions, settling and dwells do not account for.
   RunTiming timing() const {
     RunTiming timing = timing_;
     const double accounted = timing.moving_s + timing.settling_s + timing.dwelling_s;
@@ -106,8 +106,8 @@ class RunStopwatch {
   Clock::Instant begin_;
 };
 
-/// What all parts of one run share, and what of it one item has for itself. A copy is the same run, with
-/// settings and an accelerometer that may be those of another item.
+/// Data that all parts of one run share, and data of one item. A copy belongs to the same run, but its
+/// settings and accelerometer may be those of another item.
 struct RunContext {
  private:
   struct Shared {
@@ -133,7 +133,7 @@ struct RunContext {
   StageInfo& stage_info;
   RunSettings settings;
   AccelerometerInfo accelerometer_info;
-  int item = 1;                ///< As in the run file.
+  int item = 1;                ///< Number in the run file.
   bool beside_others = false;  ///< The bench has several items.
 
   RunContext(const StoppableClock& run_clock, RunSettings run_settings, const RunTiming& spent_before,
@@ -152,13 +152,13 @@ struct RunContext {
   /// True time from the beginning of the run, pauses included: DwellRecord::time_s.
   double time_s(Clock::Instant instant) const { return shared_->file.time_s(instant); }
 
-  /// For messages.
+  /// Names for messages.
   std::string stage_name() const { return "stage " + stage_info.model; }
   std::string accelerometer_name() const { return of_item() + "accelerometer " + accelerometer_info.model; }
   /// "item 3, ": the beginning of a message about one of several items; empty where the bench has one only.
   std::string of_item() const { return beside_others ? "item " + std::to_string(item) + ", " : ""; }
-  /// Into the run file and to the observer: a message about this item, which it names where there are
-  /// several.
+  /// Writes a message about this item to the run file and reports it to the observer. It names the item if
+  /// the bench has several.
   void notify(std::string_view kind, std::string_view text) const {
     journal.notify(kind, of_item().append(text), beside_others ? std::optional(item) : std::nullopt);
   }

@@ -17,7 +17,7 @@ class Reconnector {
   /// Whether the stage is one of those that are gone.
   virtual bool stage_lost() const = 0;
   /// Opens the lost ports, with new drivers that have not identified their instruments yet.
-  /// @throws InstrumentError kCannotOpen, kLinkLost: not back yet; what is back stays open.
+  /// @throws InstrumentError kCannotOpen, kLinkLost: not all back yet; ports that are back stay open.
   virtual void reconnect() = 0;
   /// Whether the accelerometer of an item is gone.
   virtual bool item_lost(int /*item*/) const { return false; }

@@ -11,7 +11,7 @@
 
 namespace abcal {
 
-/// What a run is doing.
+/// Activity of a run.
 enum class RunPhase {
   kHoming,
   kWarmingUp,
@@ -26,14 +26,14 @@ enum class RunPhase {
 /// "homing", "reading", ...
 std::string_view to_string(RunPhase phase);
 
-/// Kinds of events in the run file that observers tell apart. Others are "repeated", "temperature", "stable",
-/// "full scale", "park failed" and so on: text for a person.
+/// Kinds of events in the run file that observers distinguish. Others are "repeated", "temperature",
+/// "stable", "full scale", "park failed" and so on: text for a person.
 inline constexpr std::string_view kFlagEvent = "flag";      ///< An angle was measured with a flag.
 inline constexpr std::string_view kPortLostEvent = "lost";  ///< A port vanished; the run waits for it.
-/// The watchdog halted the stage; the text says why.
+/// The watchdog halted the stage; the text gives the reason.
 inline constexpr std::string_view kWatchdogEvent = "watchdog";
 
-/// Receives what a run does, while it does it. Must return at once: the hardware never waits for a screen.
+/// Receives the events of a run as they happen. Must return at once: the hardware never waits for a screen.
 class RunObserver {
  public:
   virtual ~RunObserver() = default;
@@ -44,7 +44,7 @@ class RunObserver {
   /// A message for a person; it is also in the run file, as an event of this kind.
   /// @param item  the number of the item that it is about; absent: the whole bench
   virtual void notice(std::string_view kind, std::string_view text, std::optional<int> item) = 0;
-  /// Called between two angles, and repeatedly while the answer is yes: the stage stays where it is.
+  /// Called between two angles, and repeatedly while it returns true: the stage does not move meanwhile.
   virtual bool hold_wanted() { return false; }
 };
 

@@ -15,34 +15,34 @@
 namespace abcal {
 namespace {
 
-/// Parts of the time for which outputs and temperature must be stable.
+/// Number of windows in the time for which outputs and temperature must be stable.
 constexpr double kStabilityWindows = 10.0;
 constexpr std::size_t kStoredSpreads = 15;
-/// Steps of the resolution: an output whose noise is smaller may well stand still while others move.
+/// An output without change is frozen if another one spreads by more than this number of resolution steps.
 constexpr double kFrozenBeside = 2.0;
-/// A short window sees less than a whole swing of a slow ring-down: the dwell that it lets begin must stay
-/// within spread_factor. Noise of the usual spread, and of twice that, still passes.
+/// Share of spread_factor for a window: it is shorter than a whole swing of a slow ring-down, but the dwell
+/// after it must stay within spread_factor. Noise of the usual spread, and of twice that, still passes.
 constexpr double kQuietPart = 0.75;
-/// By settle_s = "auto" a window moves on by this part of it.
+/// With settle_s = "auto" a window advances by its length over this number.
 constexpr std::size_t kBlocksOfWindow = 5;
 /// Windows whose spreads are added before they are compared with those of as many windows before.
 constexpr std::size_t kNoiseWindows = 5;
-/// The spread falls no longer where it is more than this part of the spread before.
+/// The spread has stopped falling if it is at least this share of the spread before.
 constexpr double kNoLongerFalling = 0.8;
-/// Standard uncertainties: a dwell whose first quarter lies farther from the rest has begun too early (noise
-/// alone: in one of a hundred dwells, which costs it a quarter more time).
+/// Limit of the creep in standard uncertainties: beyond it a dwell has begun too early (noise alone exceeds
+/// it in one of a hundred dwells, which then takes a quarter longer).
 constexpr double kCreepLimit = 3.0;
-/// How often noise alone may do so where it costs the whole dwell (settle_s is a number), and the least
-/// number of readings in a quarter that tell the noise.
+/// Probability that noise alone exceeds the limit where this invalidates the dwell (settle_s is a number),
+/// and the least number of readings in a quarter for which the test is made.
 constexpr double kCreepFalseAlarm = 1e-7;
 constexpr std::size_t kLeastQuarter = 10;
-/// Of the mean's norm: what is of no account, though an output without noise would show it.
+/// Creep below this fraction of the mean's norm is ignored. It exceeds round-off of outputs without noise.
 constexpr double kNoCreep = 1e-7;
-/// The same of the sum over dwells, looked at after every one.
+/// Limit of the accumulated creep, in standard uncertainties, tested after each dwell.
 constexpr double kLessonLimit = 4.0;
 /// Least number of differences in the sum.
 constexpr int kLeastLessons = 12;
-/// Spreads of one reading: an output that changed less from the angle before has no direction.
+/// In spreads of one reading: an output that changed less since the angle before has no direction.
 constexpr double kChangeWithDirection = 10.0;
 
 /// Sum of the spreads of kNoiseWindows windows, ending `skip` windows before the last.
@@ -215,8 +215,8 @@ Settling::Rest Settling::find_rest_by_outputs(Clock::Instant stopped) {
     const std::vector<Reading> later = readings_.read(block);
     window.insert(window.end(), later.begin(), later.end());
   }
-  // Nothing was seen from the window's first reading on: half a window where that is the first of all.
-  // Beside other items it may have waited for its turn.
+  // Quiet since the window's first reading, but not before half of the time so far (first window). With
+  // several items this one may have waited for its turn: its last arrival is taken as the present time.
   const Clock::Instant now = context_.beside_others ? window.back().arrival : context_.clock.now();
   const Clock::Duration quiet_after = std::max(window.front().arrival - stopped, (now - stopped) / 2);
   return {true, stopped + from_seconds(lesson_.patience() * to_seconds(quiet_after))};

@@ -14,13 +14,13 @@
 
 namespace abcal {
 
-/// The spreads (R, of one reading) of the latest dwells, and their median: what noise usually does.
+/// The spreads (R, of one reading) of the latest dwells, and their median: the usual noise.
 class SpreadHistory {
  public:
   /// An output that did not change at all is left out where another one spreads by more than two steps of the
   /// resolution (R; 0: not known): it is frozen and does not show its noise.
   void add(const Eigen::Vector3d& spread, double resolution);
-  /// Nothing before the first; NaN for an output that was frozen so far.
+  /// Absent before the first dwell; NaN for an output that was frozen so far.
   std::optional<Eigen::Vector3d> median() const;
 
  private:
@@ -28,22 +28,22 @@ class SpreadHistory {
   bool empty_ = true;
 };
 
-/// How far the mean of the first quarter of a dwell's readings lies from that of the others, over the
-/// standard uncertainty of this difference, output by output. Its noise is that of the later half,
-/// autocorrelation included. Of an item that is still coming to rest it has one sign. Nothing where a change
-/// is below 1e-7 of the mean's norm.
+/// Mean of the first quarter of a dwell's readings minus that of the others, over the standard uncertainty of
+/// this difference, output by output. The noise is taken from the later half, autocorrelation included. For
+/// an item that is still coming to rest it has one sign. Zero where the difference is below 1e-7 of the
+/// mean's norm.
 Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info);
 
-/// Learns from the dwells of a run how long the item needs. A creep that is too small to
-/// be seen in one dwell goes with the direction of the last change of an output: so it adds up from angle to
+/// Learns from the dwells of a run how long the item needs to settle. A creep that is too small to be
+/// detected in one dwell follows the direction of the last change of an output: it adds up from angle to
 /// angle, and noise does not.
 class SettlingLesson {
  public:
   /// @param creep  of a dwell (creep_of)
   /// @param mean, spread  of its readings, R
-  /// @return true: all dwells together creep; patience() has become twice as long
+  /// @return true: all dwells together creep; patience() is doubled
   bool add(const Eigen::Vector3d& creep, const Eigen::Vector3d& mean, const Eigen::Vector3d& spread);
-  /// The dwell begins after so many times the time from which on the outputs showed no motion.
+  /// Time from the stop to the dwell, as a multiple of the time after which the outputs showed no motion.
   double patience() const { return patience_; }
 
  private:
@@ -62,41 +62,41 @@ class Settling {
   /// Waits warm_up_s. @throws RunInterrupted
   void warm_up();
 
-  /// One look, with the readings of a part of stability_s, at whether outputs and temperature have been
-  /// stable for stability_s (0: at once).
-  /// @param begin of the looks
+  /// Reads one window, a part of stability_s, and returns whether outputs and temperature have been stable
+  /// for stability_s (0: true at once).
+  /// @param begin  of the first window
   /// @throws InstrumentError kImplausible after stability_timeout_s more. RunInterrupted.
   bool is_stable_since(Clock::Instant begin);
 
   /// Measures the spread of readings while the stage is at rest: the reference for later angles.
   /// Waits for a ring-down of the last motion to end: until the spread of five windows is no longer below
-  /// that of the five before. What was read before must be discarded.
+  /// that of the five before. Discard the pending readings before the call.
   void learn_noise();
 
-  /// Waits settle_s and then for the accelerometer to be quiet; with "auto" until nothing moves, and again as
-  /// long: an exponential ring-down has then fallen below the noise by the factor by which it stood above it.
+  /// Waits settle_s and then for the accelerometer to be quiet; with "auto" until nothing moves, and then for
+  /// the same time again: an exponential ring-down is then as far below the noise as it was above it.
   /// @return false if it was not quiet after quiet_timeout_s.
   bool settle(Clock::Instant stopped);
 
   // The parts of settle(), for several items that settle at once.
 
-  /// What arrives before this is discarded, then.
+  /// Time at which the readings pending so far are discarded.
   Clock::Instant listens_from(Clock::Instant stopped) const;
   struct Rest {
     bool quiet = false;    ///< False: it was not quiet after quiet_timeout_s.
-    Clock::Instant begin;  ///< Of the dwell; may lie ahead.
+    Clock::Instant begin;  ///< Begin of the dwell; may be in the future.
   };
   /// Reads until the accelerometer is quiet.
   Rest find_rest(Clock::Instant stopped);
 
   /// With "auto": drops the first quarter of a dwell's readings and reads as many more while they still
-  /// creep (creep_of). Where settle_s is a number it begins when it begins: it is only looked at.
-  /// @return false if they did so for quiet_timeout_s; with a number if they creep by more than noise does in
-  /// 1e7 dwells (never said of fewer than 40 readings)
+  /// creep (creep_of). Where settle_s is a number, the readings are tested, but not replaced.
+  /// @return false if they creep for quiet_timeout_s; where settle_s is a number, if they creep by more than
+  /// noise does once in 1e7 dwells (always true for fewer than 40 readings)
   bool read_until_at_rest(std::vector<Reading>& readings);
 
-  /// Learns from the dwell that read_until_at_rest looked at, and tells the observer where the outputs creep:
-  /// with "auto" the next dwells wait longer, otherwise a person is to state a longer settle_s.
+  /// Learns from the dwell that read_until_at_rest() tested, and notifies the observer if the outputs creep:
+  /// with "auto" the next dwells wait longer, otherwise the operator has to state a longer settle_s.
   void learn(const DwellStatistics& statistics);
 
   SpreadHistory& spreads() { return spreads_; }
@@ -111,10 +111,10 @@ class Settling {
   RunContext& context_;
   ReadingSource& readings_;
   SpreadHistory spreads_;
-  Eigen::Vector3d creep_ = Eigen::Vector3d::Zero();  ///< Of the latest dwell.
+  Eigen::Vector3d creep_ = Eigen::Vector3d::Zero();  ///< Creep of the latest dwell.
   SettlingLesson lesson_;
-  bool told_ = false;                       ///< That settle_s is too short.
-  std::vector<StabilityWindow> stability_;  ///< Of the looks so far.
+  bool told_ = false;                       ///< settle_s was reported as too short.
+  std::vector<StabilityWindow> stability_;  ///< Windows read so far.
 };
 
 }  // namespace abcal

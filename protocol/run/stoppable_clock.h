@@ -9,10 +9,10 @@
 
 namespace abcal {
 
-/// Time that a person can cut short: every wait looks at a stop token at least each kSlice.
+/// A clock whose waits a stop request ends: every wait tests a stop token at least once in kSlice.
 class StoppableClock {
  public:
-  /// Longest sleep or wait for bytes between two looks at the stop token.
+  /// Longest sleep or wait for bytes between two tests of the stop token.
   static constexpr Clock::Duration kSlice = std::chrono::milliseconds(20);
 
   /// Both must outlive this.

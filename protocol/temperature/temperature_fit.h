@@ -14,38 +14,38 @@ namespace abcal {
 /// One point of a series: a run at one temperature. Outputs in the order of Covariance9: s_u, s_v, s_w
 /// (R/g_loc), phi_uv, phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
 struct TemperaturePoint {
-  int number = 0;  ///< In the series, from 1.
+  int number = 0;  ///< Number in the series, from 1.
   SeriesLeg leg = SeriesLeg::kUp;
   double set_degc = 0.0;
   double temperature_degc = 0.0;  ///< Abscissa: the item's own sensor, mean over the run.
   bool by_item = true;            ///< False: the item has no sensor, and it is the set point.
-  double change_k = 0.0;          ///< Of that sensor from the first to the last angle of the run.
+  double change_k = 0.0;          ///< Change of that sensor from the first to the last angle of the run.
   Eigen::Matrix<double, 9, 1> value;
-  Covariance9 own;     ///< Of this point alone: the scatter of its readings (type A).
-  Covariance9 shared;  ///< Of stage and effects that are the same at every point (type B).
+  Covariance9 own;     ///< Covariance from the scatter of this point's readings (type A).
+  Covariance9 shared;  ///< Covariance from stage and effects, the same at every point (type B).
   Verdict verdict = Verdict::kUsable;
-  /// What this run alone found of the stage: Zx, Zy, Xz (1), d2, d3 (degree). Its estimator may find nothing.
+  /// Stage errors from this run alone: Zx, Zy, Xz (1), d2, d3 (degree). Absent if the estimator gives none.
   std::optional<std::array<Quantity, 5>> stage;
 };
 
-/// A polynomial of one output over (T - T0), fitted by generalised least squares: every point with its own
-/// uncertainty, and the one that all points share as one unknown shift of all.
+/// A polynomial of one output over (T - T0), fitted by generalised least squares: every point has its own
+/// uncertainty, and the uncertainty that all points share is one common unknown shift.
 struct TemperaturePolynomial {
   std::string name;  ///< "s_u", "phi_uv", "O_w"
   std::string unit;
   int order = 0;
   std::vector<double> coefficient;  ///< Unit / K^n, n = 0 ... order.
-  Eigen::MatrixXd covariance;       ///< Of the coefficients.
-  /// Of the steps to this order, and of the one that was not made any more.
+  Eigen::MatrixXd covariance;       ///< Covariance of the coefficients.
+  /// Likelihood ratio of each step up to this order, and of the next step if it was rejected.
   std::vector<double> likelihood_ratio;
-  std::vector<double> residual;  ///< Of each point, unit.
+  std::vector<double> residual;  ///< One for each point, unit.
   double residual_rms = 0.0, residual_max = 0.0;
   /// Scatter of the points about the polynomial that their own uncertainty does not explain (hysteresis, lag,
   /// instability); it is in the covariance. Unit.
   double excess = 0.0;
   double chi2 = 0.0;  ///< Without the excess.
   int degrees_of_freedom = 0;
-  /// The part of the covariance that comes of the excess, which is known from the scatter alone.
+  /// The part of the covariance that comes from the excess, which is estimated from the scatter alone.
   Eigen::MatrixXd excess_covariance;
 
   double at(double from_t0) const;
@@ -56,8 +56,8 @@ struct TemperaturePolynomial {
   double degrees_of_freedom_of(const Eigen::VectorXd& weights) const;
 };
 
-/// What the data sheet says of an output: per kelvin, and how it is reckoned. Where no order above 0 is
-/// significant, that of a straight line, which has an uncertainty.
+/// Temperature coefficients of an output as in data sheets, per kelvin, by three methods. Where no order
+/// above 0 is significant, those of a straight line, which have an uncertainty.
 struct TemperatureCoefficient {
   std::string name;
   std::string unit;                                       ///< "ppm/K", "ug/K", "urad/K"
@@ -65,11 +65,11 @@ struct TemperatureCoefficient {
   double degrees_of_freedom = 0.0;                        ///< Effective, of that uncertainty.
   double box = 0.0;                                       ///< (largest - smallest) / range of temperature.
   double box_uncertainty = 0.0, box_degrees_of_freedom = 0.0;
-  double end_point = 0.0;  ///< From one end to the other.
+  double end_point = 0.0;  ///< Difference of both ends / range of temperature.
   double end_point_uncertainty = 0.0, end_point_degrees_of_freedom = 0.0;
 };
 
-/// Of one output: what differs between the ways up and down, at equal temperature of the item.
+/// Difference of one output between the ways up and down, at equal temperature of the item.
 struct TemperatureHysteresis {
   std::string name, unit;
   double largest = 0.0;  ///< up - down, with its sign.
@@ -80,28 +80,28 @@ struct TemperatureHysteresis {
   bool has_closure = false, has_both_ways = false;
 };
 
-/// A constant of the stage, which each run of a joint fit finds by itself, over the item's temperature: the
-/// straight line of least squares. That the stage is the same at every point is assumed of what all points
-/// share; this is where it shows if it is not.
+/// A constant of the stage, which the joint fit of each run estimates by itself, over the item's temperature:
+/// the straight line of least squares. The uncertainty that all points share assumes the same stage at every
+/// point; this trend shows whether it is.
 struct StageTrend {
   std::string name, unit;                          ///< "Zx", "1"; "d2", "degree"
   double slope = 0.0, standard_uncertainty = 0.0;  ///< Unit / K; type A, with the scatter of the points.
-  double probability = 1.0;                        ///< Of a slope as large where there is none.
+  double probability = 1.0;                        ///< P(slope as large) if there is none.
   bool constant() const;
 };
 
 struct TemperatureResult {
   double reference_degc = 23.0;
-  double least_degc = 0.0, most_degc = 0.0;  ///< Of the item's sensor: where the polynomials hold.
+  double least_degc = 0.0, most_degc = 0.0;  ///< Range of the item's sensor in which the polynomials hold.
   std::vector<TemperaturePoint> points;
   std::vector<TemperaturePolynomial> polynomials;    ///< 9, in the order of the outputs.
   std::vector<TemperatureCoefficient> coefficients;  ///< 9
   std::vector<TemperatureHysteresis> hysteresis;     ///< 9
-  std::vector<StageTrend> stage;  ///< 5, or none where an estimator finds nothing of the stage.
+  std::vector<StageTrend> stage;  ///< 5, or none without stage estimates of at least 4 points.
 
-  /// Whether every temperature is that of the item's own sensor.
+  /// Whether every temperature is from the item's own sensor.
   bool by_item() const;
-  /// Why the result is doubtful, in words; empty: it is usable.
+  /// Reasons why the result is doubtful; empty: it is usable.
   std::vector<std::string> reasons() const;
   bool usable() const { return reasons().empty(); }
 };

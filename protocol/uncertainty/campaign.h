@@ -17,13 +17,13 @@ struct CampaignProperty {
   std::string unit;
   /// Mean, spread between the runs, and the repeatability within them (root mean square of their type A).
   RunSpread spread;
-  double type_a = 0.0;  ///< Of the mean: spread between runs, or the larger type A within runs.
+  double type_a = 0.0;  ///< Type A of the mean: spread between runs, or the larger type A within runs.
   /// Type B uncertainty of the mean: the runs were measured on one stage, whose errors are the same each
   /// time.
   double type_b = 0.0;
   double standard_uncertainty = 0.0;
   double degrees_of_freedom = 0.0;  ///< Effective (Welch and Satterthwaite): type A has runs - 1.
-  double coverage_factor = 0.0;     ///< Student's t for 95 % at these: few runs know their spread badly.
+  double coverage_factor = 0.0;     ///< Student's t for 95 % at these degrees of freedom.
   double expanded_uncertainty() const { return coverage_factor * standard_uncertainty; }
 };
 

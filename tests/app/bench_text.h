@@ -36,7 +36,7 @@ struct BenchText {
   std::string accelerometer_driver = "microstrain_mip";
   std::string stage_port = "simulated";
   std::string accelerometer_port = "simulated";
-  bool check_poses = false;  ///< The plan as published, where a test counts angles.
+  bool check_poses = false;  ///< False: the published plan, for tests that count angles.
   std::string protocol = "steps = 12\nstep_deg = 30.0\nsettle_s = 0.05\ndwell_readings = 10\n";
   std::string simulation;
   std::string motion = "speed_deg_per_s = 700.0\nacceleration_deg_per_s2 = 20000.0\n";

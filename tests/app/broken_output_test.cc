@@ -1,4 +1,4 @@
-// Output that nobody takes: closed pipes, full disks, closed descriptors. No run ends for that.
+// Output that nobody reads: closed pipes, full disks, closed descriptors. None of them ends a run.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -41,7 +41,7 @@ TEST(JudgeSigns, AReversedStageAxisIsNamed) {
   const Finding x = judge_signs(poses(Eigen::Matrix3d::Identity(), -1, +1));
   EXPECT_EQ(x.grade, Finding::Grade::kProblem);
   EXPECT_THAT(x.advice, HasSubstr("[stage.x] sign"));
-  // Gravity alone cannot tell it from an accelerometer turned by half a turn, which must be said.
+  // Gravity alone cannot tell it from an accelerometer turned by half a turn: the advice states both.
   EXPECT_THAT(x.advice, AllOf(HasSubstr("or"), HasSubstr("-x, -y, +z")));
   const Finding z = judge_signs(poses(Eigen::Matrix3d::Identity(), +1, -1));
   EXPECT_THAT(z.advice, AllOf(HasSubstr("[stage.z] sign"), Not(HasSubstr("[stage.x] sign is wrong"))));

@@ -78,7 +78,7 @@ class CompareCommand : public ProgramTest {
     EXPECT_EQ(result.exit_code, exit_code) << result.err << result.out;
     return Json::parse(result.out);
   }
-  /// Whether the two agree or not: noise alone may take one of nine properties beyond its limit.
+  /// The JSON for any verdict, as noise alone may take one of nine properties beyond its limit.
   Json json_of_any(std::vector<std::string> arguments) {
     arguments.emplace_back("--json");
     const ProgramResult result = compare(arguments);

@@ -51,7 +51,7 @@ struct Trouble {
   FaultKind kind;
   bool once = false;  ///< Ends with the next command (or after a second); else it lasts.
   enum class Outcome { kRight, kFault, kEither } outcome = Outcome::kEither;
-  std::set<Fault> faults{};   ///< Faults that are right.
+  std::set<Fault> faults{};   ///< Permitted faults.
   bool damages = false;       ///< Without checksums, damaged bytes may pass for a sound reply.
   Clock::Duration delay{};    ///< Delay of kLateReply.
   bool late_refusal = false;  ///< A refusal comes, and late: it is the answer to its own command only.
@@ -89,12 +89,12 @@ const std::vector<Trouble>& troubles() {
 /// Properties of a driver's protocol.
 struct Nature {
   bool checksums = false;
-  /// Streams unasked from power on, and can do without answers.
+  /// The instrument streams unasked from power-on; its driver can work without answers.
   bool talks_by_itself = false;
-  /// Sees by itself, when it is started, how many readings come in a second.
+  /// The driver itself measures the rate of the readings when it is started.
   bool measures_rate = false;
   Clock::Duration deadline = kDeadline;
-  /// A refusal as its instrument words it, to some command at least; empty: it has none that fits every time.
+  /// A refusal by the instrument of some command; empty: no refusal fits at any time.
   std::string refusal{};
 };
 
@@ -117,13 +117,13 @@ Nature nature_of(const std::string& driver, Clock::Instant now = {}) {
   if (driver == "mavlink") return {.checksums = true};
   if (driver == "witmotion") return {.checksums = true, .talks_by_itself = true, .measures_rate = true};
   if (driver == "text_line") return {.talks_by_itself = true, .measures_rate = true};
-  return {};  // Nothing is known of its protocol: it has no checksums, and refuses nothing.
+  return {};  // An unknown protocol is taken to have no checksums and no refusals.
 }
 
 // ---- A driver and its instrument
 
 struct Answer {
-  bool nothing = false;  ///< It says that it does not know, without an error: no reading, no halt.
+  bool nothing = false;  ///< No error and no value, e.g. no reading, no halt.
   std::string wrong{};   ///< A wrong statement of the instrument.
 };
 
@@ -133,7 +133,7 @@ class Rig {
   virtual ~Rig() = default;
 
   virtual std::vector<std::string> calls() const = 0;
-  /// Up to where this call can be made.
+  /// Prepares the instrument for this call.
   virtual void prepare(const std::string& call) = 0;
   /// Makes the call, and compares its answer with the truth. @throws InstrumentError
   virtual Answer make(const std::string& call) = 0;
@@ -313,7 +313,7 @@ class AccelerometerRig final : public Rig {
               const Clock::Instant begin = clock_.now();
               accelerometer_->start();
               Answer answer = next();
-              // A board that hears nothing cannot be asked for what it prints from now on.
+              // A board that receives no commands may also deliver lines from before the start.
               if (answer.wrong.empty() && !nature_.talks_by_itself && made_ < begin)
                 answer.wrong = "a reading from before the start";
               return answer;
@@ -362,7 +362,7 @@ class AccelerometerRig final : public Rig {
   bool on_demand_ = false;
   std::unique_ptr<Accelerometer> accelerometer_;
   AccelerometerInfo info_;
-  Clock::Instant made_;  ///< The last reading, at the latest.
+  Clock::Instant made_;  ///< Latest time at which the last reading was made.
 };
 
 std::unique_ptr<Rig> make_rig(const std::string& driver) {
@@ -403,7 +403,7 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
                        [this](const StageVariant& one) { return one.name == driver(); });
   }
 
-  /// Begins with the `at`-th command of the call on this link; 0: when it is made.
+  /// Examines a call with a trouble that begins at its `at`-th command on this link; 0: when it is made.
   void examine(const std::string& call, std::size_t link, std::size_t at) {
     SCOPED_TRACE(fmt::format("{} from command {} of {} on (link {})", trouble().name, at, call, link));
     const auto rig = make_rig(driver());
@@ -465,8 +465,8 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
     if (error.fault() == Fault::kRefused) ++refused_;
   }
 
-  /// No question is answered wrongly; and once nothing is on its way any more, the second asking at the
-  /// latest is answered.
+  /// No question is answered wrongly. Once nothing is in transit any more, a question is answered at the
+  /// second try at the latest.
   void check_recovery(Rig& rig, const sim::FaultyStream& faulty) {
     // Bytes still under way arrive among the questions.
     if (const auto due = faulty.next_due()) rig.clock().sleep_until(*due - 1ms);
@@ -620,12 +620,12 @@ TEST_P(StageHalts, AreRepeatedUntilTheControllerHears) {
   deaf.deaf_until = begin + 600ms;
   EXPECT_TRUE(driver->halt());
   ASSERT_FALSE(deaf.swallowed.empty());
-  // The stop, again and again, with the question whether it has stopped in between.
+  // The stop is repeated, with queries of the motion in between.
   EXPECT_GE(std::count(deaf.swallowed.begin(), deaf.swallowed.end(), deaf.swallowed.front()), 2);
   EXPECT_LE(clock.now() - begin, deadline());
   for (const StageAxis axis : kStageAxes) EXPECT_FALSE(world->moving(axis, clock.now()));
 
-  // One that never hears is asked to stop until the deadline.
+  // A controller that never receives anything is sent the stop until the deadline.
   for (const StageAxis axis : kStageAxes) driver->move_to(axis, Angle::degrees(-300.0));
   deaf.swallowed.clear();
   deaf.deaf_until = Clock::Instant::max();

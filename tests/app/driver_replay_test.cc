@@ -1,5 +1,5 @@
 // Every driver of the registry over its simulated instrument, recorded on all its connections and replayed
-// from the recording: it says the same again, byte for byte, and comes to the same values at the same times.
+// from the recording: it sends the same bytes again, and gives the same values at the same times.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>

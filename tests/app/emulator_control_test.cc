@@ -150,7 +150,7 @@ TEST(FaultSchedule, ABenchFileMakesThingsGoWrongInTime) {
   EXPECT_TRUE(std::isnan(bench.world->output(start + 6s, 0).value[0]));
   EXPECT_EQ(bench.world->output(start + 8s, 0).value[0], 0.1);
   EXPECT_EQ(bench.world->output(start + 11s, 0).value[0], 1.0);
-  EXPECT_EQ(bench.world->output(start + 21s, 0).value[0], 1.0);  // what a change does not name stays
+  EXPECT_EQ(bench.world->output(start + 21s, 0).value[0], 1.0);  // values that a change does not name stay
   EXPECT_EQ(bench.world->temperature_degc(start + 21s), 40.0);
 
   bench.stage->identify();
@@ -237,7 +237,7 @@ TEST_F(EmulatorProcessTest, AnUnpluggedInstrumentsPortVanishesAndComesBack) {
                                               "\"accelerometer\", \"for_s\": 1.0}\n")));
   EXPECT_TRUE(test::wait_for([&] { return !there(); }, 10s));
   EXPECT_TRUE(test::wait_for(there, 10s));
-  // Whoever opens it now finds the instrument again.
+  // The next program that opens the link finds the instrument again.
   const ProgramResult check = abcal({"check", "bench.toml", "--no-motion"});
   EXPECT_EQ(check.exit_code, 0) << check.out << check.err;
 }
@@ -266,7 +266,7 @@ TEST_F(EmulatorProcessTest, AnEmulatedAccelerometerFollowsAStageThatAnotherProgr
   EXPECT_THAT(following.out(), HasSubstr("follows the encoders"));
   EXPECT_FALSE(std::filesystem::exists(folder / "follow/stage"));
   EXPECT_TRUE(std::filesystem::exists(folder / "follow/accelerometer"));
-  // A stage that is lost ends it: an accelerometer that no longer follows would tell lies.
+  // A lost stage ends the emulator: an accelerometer that no longer follows it would report false outputs.
   emulator->signal(SIGKILL);
   EXPECT_EQ(following.wait(), 3);
   EXPECT_NE(following.err(), "");

@@ -1,6 +1,6 @@
 // A disk that fails under SQLite at any one of the calls of a whole run, once or for good: the run completes,
-// or it ends with the reason and the stage at rest. The file can be read afterwards, holds every angle that
-// was said to be measured, and the run goes on to the bits of an undisturbed one.
+// or it ends with the reason and the stage at rest. The file can be read afterwards, contains every angle
+// that was reported as measured, and the resumed run gives the same bits as an undisturbed one.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

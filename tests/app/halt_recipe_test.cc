@@ -68,7 +68,7 @@ struct HaltRig {
       while (driver->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
   }
 
-  /// Without the driver, on the port that it has used: whether all that the recipes tell of was acknowledged.
+  /// Carries out recipes without the driver, on the port that it used. @return whether all were acknowledged
   bool carried_out(const std::vector<HaltRecipe>& recipes, wire::ByteStream& stream) {
     bool all = !recipes.empty();
     for (const HaltRecipe& recipe : recipes)
@@ -347,7 +347,7 @@ TEST_P(ChainHalts, TheAxisThatIsLeftIsHaltedAtOnceAndEachIsReported) {
   EXPECT_EQ(rig.driver->halt_axes(), each);
   expect_the_other_stopped_at_once();
   EXPECT_LE(rig.clock.now() - begin, 9s);
-  // Once more, by a driver that knows who is silent.
+  // Once more, by a driver that knows which controller is silent.
   EXPECT_EQ(rig.driver->halt_axes(), each);
   EXPECT_FALSE(rig.driver->halt());
 }

@@ -121,7 +121,7 @@ void InProcessRun::run_to_end() {
     }
   };
   session.emplace(std::move(options));
-  // Once the run is left, the bench goes on by itself: nothing may turn any more but for coming to rest.
+  // After the end of the run the bench continues: no axis may turn any more except to come to rest.
   const auto look = [&] {
     constexpr Clock::Duration kToRest = std::chrono::milliseconds(500);
     if (bench == nullptr) return;  // It ended before there was a run.

@@ -22,16 +22,16 @@ class InProcessRun {
   InProcessRun(std::string bench_toml, std::filesystem::path path)
       : bench_toml_(std::move(bench_toml)), path_(std::move(path)) {}
 
-  /// Begins the run, or goes on with it where it was interrupted, to its end: closed and analysed. Does
-  /// nothing more to one that is.
-  /// @throws what the commands throw
+  /// Begins the run, or resumes it, and takes it to its end: closed and analysed. Does nothing if it already
+  /// is.
+  /// @throws the exceptions of the commands
   void run_to_end();
 
   bool exists() const { return std::filesystem::exists(path_); }
   const std::filesystem::path& path() const { return path_; }
 
-  /// Called before each call to an instrument, but for halt() and stop(), with its name and its number in
-  /// this run_to_end() (1 is the first); may throw what the instrument would.
+  /// Called before each call to an instrument except halt() and stop(), with its name and its number in this
+  /// run_to_end() (1 is the first); may throw the exceptions of the instrument.
   std::function<void(std::string_view call, std::size_t number)> before_call;
   /// May change the bench before it is made, e.g. its faults this time.
   std::function<void(BenchConfig& config)> change_bench;
@@ -39,15 +39,15 @@ class InProcessRun {
   // Figures of the last run_to_end().
   std::size_t calls() const { return calls_; }
   std::size_t halts() const { return halts_; }
-  /// It had been told to move, and neither came to rest nor was halted before the run was left.
+  /// Whether an axis was commanded to move, and neither came to rest nor was halted before the run ended.
   bool left_moving() const { return left_moving_; }
   double simulated_s() const { return simulated_s_; }
-  /// The longest simulated time from one angle that was said to be measured (or the begin) to the next (or
+  /// The longest simulated time from one angle that was reported as measured (or the begin) to the next (or
   /// the end), in seconds.
   double longest_angle_s() const { return longest_angle_s_; }
   const std::optional<RunOutcome>& finished() const { return finished_; }
 
-  /// The angles that the run has said to be measured, of all run_to_end() together: positions in the plan.
+  /// The angles that all run_to_end() together have reported as measured: positions in the plan.
   const std::set<std::size_t>& reported() const { return reported_; }
 
  private:

@@ -10,12 +10,12 @@ namespace abcal {
 
 struct StageCase {
   std::string name;
-  std::string sections;  ///< [stage] and its axes but for the ports, which read PORT, PORTX, PORTZ.
+  std::string sections;  ///< [stage] and its axes; the ports read PORT, PORTX, PORTZ.
 };
 
 struct AccelerometerCase {
   std::string name;
-  std::string section;  ///< [accelerometer] but for its port.
+  std::string section;  ///< [accelerometer] without its port.
   double scale = 1.0;   ///< Response unit per g_loc.
   double noise = 1e-4;  ///< Noise of one reading, in g_loc.
 };

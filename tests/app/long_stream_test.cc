@@ -1,5 +1,5 @@
 // A minute of every accelerometer's fastest stream, in real time over pseudo-terminals: nothing is lost. The
-// output drifts with time, so that every reading tells by itself when it was made: a loss shows even if
+// output drifts with time, so that every reading shows by itself when it was made: a loss is found even if
 // instrument and driver agree that there was none.
 
 #include <fmt/format.h>
@@ -15,7 +15,7 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr Clock::Duration kStreamed = 60s;
-// Longer than a busy machine withholds the processor; a stream that stands still so long has ended.
+// Longer than a busy machine withholds the processor; a stream that pauses for this time has ended.
 constexpr Clock::Duration kPatience = 5s;
 
 class LongStream : public testing::TestWithParam<std::string> {

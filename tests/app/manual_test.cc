@@ -1,4 +1,4 @@
-// Manual pages and completions as a system takes them: troff that man accepts, scripts that bash runs.
+// Manual pages and completions as used by a system: troff that man accepts, scripts that bash runs.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -264,7 +264,7 @@ TEST_F(EmulatedBenchTest, AKilledRunKeepsItsAnglesAndGoesOn) {
   EXPECT_EQ(measured("a.run"), 39U);
 }
 
-// Whoever is quick finds the port held by the guard of the run that was killed, which still halts the axes.
+// A quick restart finds the port held by the guard of the killed run, which still halts the axes.
 TEST_F(EmulatedBenchTest, ARunThatGoesOnWaitsForTheGuardOfTheKilledOne) {
   start_emulator();
   Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());

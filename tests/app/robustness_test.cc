@@ -55,7 +55,7 @@ TEST(RobustnessTest, ASoundBenchIsUsableAndItsIntervalsHold) {
   }
 }
 
-// Neither estimator calls such a run usable: ABC by what the joint fit of the same readings finds. (k5-x10 is
+// Neither estimator calls such a run usable; ABC uses the joint fit of the same readings for this. (k5-x10 is
 // not among them: docs/effects.md.)
 TEST(RobustnessTest, EffectsMuchLargerThanStatedAreDoubtful) {
   const std::vector<std::string> wrong{"k4-x10",        "asymmetry-x10", "hysteresis-x10",

@@ -139,7 +139,7 @@ class FaultAtEveryCallTest : public testing::Test {
   }
 
   test::TemporaryFolder folder;
-  test::FailingDisk disk;  ///< It does not fail here; it does not wait for the real one.
+  test::FailingDisk disk;  ///< Never fails here; avoids waiting for the real disk.
   std::size_t calls = 0;   ///< Number of calls in a whole run.
   std::vector<std::string> expected_bits;
   int tried = 0, never_begun = 0, ended = 0, reconnected = 0, not_parked = 0;
@@ -315,7 +315,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
   static constexpr double kLongestAngleS = 4.0 * (2.0 * 5.0 + 2.0 + 2.0) + 20.0 + 17.0 + 15.0;
 
   test::TemporaryFolder folder;
-  test::FailingDisk disk;  ///< It does not fail here; it does not wait for the real one.
+  test::FailingDisk disk;  ///< Never fails here; avoids waiting for the real disk.
   std::string text;
 };
 

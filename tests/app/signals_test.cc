@@ -1,4 +1,4 @@
-// Effect of a signal on the program: a computation ends at once, but nothing that moves a stage.
+// Effect of a signal on the program: a computation ends at once, an activity that moves a stage does not.
 
 #include "app/ground/system/interrupt.h"
 
@@ -44,7 +44,7 @@ std::string sine_readings(int steps) {
   return csv.str();
 }
 
-/// Time that a running process has had of the processors.
+/// Processor time of a running process.
 double cpu_seconds(pid_t pid) {
   const std::string status = test::read_file("/proc/" + std::to_string(pid) + "/stat");
   std::istringstream words(status.substr(std::min(status.size(), status.rfind(')') + 1)));
@@ -55,13 +55,13 @@ double cpu_seconds(pid_t pid) {
   return (user + system) / static_cast<double>(::sysconf(_SC_CLK_TCK));
 }
 
-/// Whether a process has ended; a zombie whose new parent has not looked yet has.
+/// Whether a process has ended; a zombie counts as ended.
 bool has_ended(const std::string& pid) {
   const std::string status = test::read_file("/proc/" + pid + "/stat");
   return status.empty() || status.find(") Z") != std::string::npos;
 }
 
-/// Not even nohup around the tests keeps a signal from the programs that they start.
+/// Restores the default actions, so that nohup around the tests does not protect the programs they start.
 void heed_signals() {
   for (const int number : {SIGINT, SIGTERM, SIGHUP}) std::signal(number, SIG_DFL);
 }
@@ -126,7 +126,7 @@ TEST_F(SignalsAndHelpersTest, NoHelperAndNoTemporaryFileOutlivesTheProgram) {
     EXPECT_NE(entry.path().extension(), ".html") << entry.path();
 }
 
-/// Sends this process a signal, and waits until it has been acted upon. @return 7, where that is no end
+/// Sends this process a signal, and waits until it has been handled. @return 7 if the process goes on
 int seen_through(int number) {
   ::kill(::getpid(), number);
   while (last_interrupt_signal() == 0) ::usleep(1000);
@@ -171,13 +171,13 @@ TEST(SignalPolicyDeathTest, AnIgnoredSignalStaysIgnored) {
     heed_signals();
     std::signal(SIGHUP, SIG_IGN);  // nohup
     watch_for_signals();
-    ::kill(::getpid(), SIGHUP);  // The first of two that wait: the lowest number.
+    ::kill(::getpid(), SIGHUP);  // The first of two pending signals, as it has the lowest number.
     std::_Exit(seen_through(SIGTERM));
   };
   EXPECT_EXIT(end(), testing::KilledBySignal(SIGTERM), "");
 }
 
-// However a new command comes by its bench: it is not ended without the halt of a stage that is real.
+// Any command that opens a real stage is protected: a signal does not end it without a halt of the stage.
 TEST(SignalPolicyDeathTest, WhoeverOpensAStageHasUndertakenAnOrderlyEnd) {
   const auto open = [](const std::string& port) {
     heed_signals();
@@ -186,7 +186,7 @@ TEST(SignalPolicyDeathTest, WhoeverOpensAStageHasUndertakenAnOrderlyEnd) {
     bench.stage_port = port;
     try {
       (void)make_bench(parse_bench(bench.text(), "bench.toml"));
-    } catch (const InstrumentError&) {  // There is none.
+    } catch (const InstrumentError&) {  // There is no such stage.
     }
     std::_Exit(seen_through(SIGTERM));
   };

@@ -19,7 +19,7 @@ const Clock::Instant kStart{};
 
 TEST(MotionWatch, IsOverdueOnlyWhileItMayMoveAndNothingIsHeard) {
   MotionWatch watch(5s);
-  EXPECT_FALSE(watch.overdue(kStart + 1h));  // Never told to move.
+  EXPECT_FALSE(watch.overdue(kStart + 1h));  // No motion was commanded.
   watch.told_to_move(StageAxis::kX, kStart);
   EXPECT_FALSE(watch.overdue(kStart + 5s));
   EXPECT_TRUE(watch.overdue(kStart + 5001ms));
@@ -35,7 +35,7 @@ TEST(MotionWatch, IsOverdueOnlyWhileItMayMoveAndNothingIsHeard) {
   EXPECT_FALSE(watch.overdue(kStart + 3h));
 }
 
-/// Tells the test of a halt.
+/// Reports a halt to the test.
 class HaltedStage final : public RotationStage {
  public:
   StageInfo identify() override { return {}; }

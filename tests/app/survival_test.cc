@@ -130,7 +130,7 @@ class SurvivalTest : public ProgramTest {
                                                       stage ? "stage" : "accelerometer", at_s, for_s));
       const std::string name = fmt::format("unplugged-{}.run", k);
       const ProgramResult run = abcal({"run", "unplugged.toml", "-o", name});
-      if (!std::filesystem::exists(folder / name)) {  // Unplugged before it was asked who it is.
+      if (!std::filesystem::exists(folder / name)) {  // Unplugged before the identification.
         EXPECT_EQ(run.exit_code, 3) << run.err;
         ++halted;
         continue;

@@ -87,7 +87,7 @@ TEST_F(TemperatureTest, ASeriesUpAndDownFindsTheCoefficients) {
   EXPECT_THAT(px4.err, HasSubstr("7 files, the points of a series over temperature"));
   EXPECT_EQ(exported({"--as", "csv", "--frame", "platter"}).exit_code, 2);
 
-  // Again: nothing is measured, the same is said.
+  // Repeated: nothing is measured, and the output is the same.
   const ProgramResult again = series({});
   EXPECT_EQ(again.exit_code, 0);
   EXPECT_EQ(again.out, result.out);
@@ -195,7 +195,7 @@ TEST_F(TemperatureTest, ThePlannerFindsThePlanOfEachPoint) {
     EXPECT_EQ(protocol(run).steps, first.steps);
     EXPECT_EQ(protocol(run).dwell_readings, first.dwell_readings);
   }
-  // The least that reaches it does so.
+  // The plan that was found reaches the uncertainty.
   const Json point = Json::parse(result.out)["points"][0];
   const double u = std::hypot(point["own_standard_uncertainty"][0].get<double>(),
                               point["shared_standard_uncertainty"][0].get<double>());

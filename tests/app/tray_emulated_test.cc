@@ -27,7 +27,7 @@ namespace {
 
 class LongTrayTest : public ProgramTest {
  protected:
-  /// Puts `now` in place of the first `before` from `from` on. @return where it stands
+  /// Replaces the first `before` from the position `from` on by `now`. @return its position
   static std::size_t replace(std::string& text, const std::string& before, const std::string& now,
                              std::size_t from = 0) {
     const std::size_t at = text.find(before, from);
@@ -133,7 +133,7 @@ TEST_F(LongTrayFaultTest, OneThatIsUnpluggedAndComesBackGoesOn) {
   test::Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured() >= 4; }, std::chrono::seconds(240))) << run.err();
   unplug_second({{"for_s", 2.0}});
-  (void)run.wait();  // Whether so few angles suffice for a result is not asked here.
+  (void)run.wait();  // The exit code does not matter: so few angles may not suffice for a result.
   ASSERT_EQ(RunFile::load(folder / "a.run").state, RunState::kComplete) << run.err();
   for (int k = 1; k <= 3; ++k) {
     const StoredRun stored = RunFile::load(folder / "a.run", k);

@@ -136,9 +136,9 @@ void BM_FiftyPagesWatch(benchmark::State& state) {
   for (auto _ : state) {
     ServedBench bench;
     test::PageClient page(bench.port);
-    page.wait_for_type("snapshot");  // The process that holds the bench is there.
+    page.wait_for_type("snapshot");  // The process that holds the bench has started.
     page.ok({{"do", "control"}});
-    bench.run(page);  // Everything is in memory once.
+    bench.run(page);  // A first run loads everything into memory.
     const double before_kb = bench.memory_kb("VmRSS");
     std::vector<double> alone, watched, delays;
     for (int i = 0; i < kRuns; ++i) {

@@ -25,7 +25,7 @@ using namespace std::chrono_literals;
 
 constexpr char kStopAllAxes = '\x18';
 
-/// A controller that notes when it was told to move and to stop, and can be made deaf and dumb.
+/// A controller that counts moves and notes the time of the stop byte, and can be made deaf and dumb.
 class WatchedController final : public sim::Firmware {
  public:
   explicit WatchedController(std::shared_ptr<sim::SimBench> world) : inner_(std::move(world)) {}

@@ -24,7 +24,7 @@ namespace {
 constexpr std::size_t kBatch = 1000;
 constexpr int kNormals = 219;  // Zx, Zy, Xz and 216 step errors
 constexpr std::uint32_t kPairs =
-    4 + 108 + 5;  // what a trial draws: alignment and turns, step errors, accelerometer
+    4 + 108 + 5;  // drawn by a trial: alignment and turns, step errors, accelerometer
 
 abcal::TypeBStudy abc1() {
   abcal::TypeBStudy study;
@@ -136,7 +136,7 @@ BENCHMARK(BM_MillionTrials)
     ->Iterations(1)
     ->Unit(benchmark::kSecond);
 
-/// Google Benchmark 1.8 renamed what says so.
+/// Whether a benchmark has failed; Google Benchmark 1.8 renamed the member.
 template <class Run>
 bool has_failed(const Run& run) {
   if constexpr (requires { run.error_occurred; }) {

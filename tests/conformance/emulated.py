@@ -116,7 +116,7 @@ class Checks:
                 self.passed.append(name)
                 return result
             self.failed.append(f"{name}: found {result!r}")
-        except Exception as error:  # whatever the host program throws is its verdict
+        except Exception as error:  # any exception of the host program is its verdict
             self.failed.append(f"{name}: {type(error).__name__}: {error}")
             traceback.print_exc(file=sys.stderr)
         print(f"{name}: failed after {time.monotonic() - start:.1f} s", file=sys.stderr)

@@ -116,7 +116,7 @@ class MadeUpDevice:
                 stream.write(b"WRITE iio:device0 sampling_frequency %d\r\n" % len(rate) + rate)
                 stream.flush()
                 stream.readline()
-                ask("SET iio:device0 BUFFERS_COUNT 64")  # 0.3 s: what the feeder of a busy machine leaves unread
+                ask("SET iio:device0 BUFFERS_COUNT 64")  # 0.3 s: as much as the feeder on a busy machine may leave unread
                 assert ask("OPEN iio:device0 1 00000078") == 0  # accelerations and time
                 while self.enabled() and not stop.is_set():
                     size = ask("READBUF iio:device0 24")

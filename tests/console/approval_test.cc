@@ -1,4 +1,4 @@
-// From result to certificate on the page: who may approve, four eyes, and that no flow stands twice.
+// From result to certificate on the page: who may approve, four eyes, and the same certificate as by command.
 
 #include "app/faces/console/approval.h"
 
@@ -258,7 +258,7 @@ TEST_F(ApprovalByKeyTest, RefusesOtherSignatures) {
   const std::size_t value = good.find("SignatureValue>") + std::string("SignatureValue>").size() + 3;
   refuses(changed(good.substr(value, 8), "AAAAAAAA"), "it does not verify");
 
-  // A certificate of the key that has run out.
+  // An expired certificate of the key.
   const SigningIdentity old = make_signing_identity("Approver N. N.", "Example laboratory",
                                                     RealClock().utc_now() - std::chrono::hours(24 * 366 * 4));
   test::write_file(folder / "old.pem", old.private_pem);

@@ -44,7 +44,7 @@ struct Answer {
   std::string body;
 };
 
-/// A connection on which whatever bytes are sent.
+/// A connection for sending arbitrary bytes.
 class RawConnection {
  public:
   /// @param receive_buffer  bytes the system keeps for it; 0: as many as it likes
@@ -179,7 +179,7 @@ class PageClient {
                     activity.c_str());
   }
 
-  /// The connection ended by now.
+  /// Whether the connection has ended.
   bool ended() const { return ended_; }
   /// Waits for its end.
   bool wait_for_end() {

@@ -29,7 +29,7 @@ class ConsoleTest : public testing::Test {
       log_ += words;
     });
     options.port = 0;
-    options.longest_queue = 100000;  // However slow the page of a test, each message comes.
+    options.longest_queue = 100000;  // No message is dropped, however slow the page of a test.
     pace = 500.0;
   }
   ~ConsoleTest() override {
@@ -65,7 +65,7 @@ class ConsoleTest : public testing::Test {
       count += entry.path().extension() == ".run" ? 1 : 0;
     return count;
   }
-  /// A page that steers, and has seen all that was told until then.
+  /// A page that steers, and has received all messages so far.
   std::unique_ptr<test::PageClient> steering_page(const test::Headers& headers = {}) {
     auto page = std::make_unique<test::PageClient>(port, headers);
     EXPECT_TRUE(page->ok({{"do", "control"}}));

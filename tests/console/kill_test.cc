@@ -62,7 +62,7 @@ class KillTest : public ProgramTest {
                 program.running())
         << "nothing moves; " << (program.running() ? "the program runs\n" : "the program has ended\n")
         << program.out() << program.err();
-    std::this_thread::sleep_for(std::chrono::milliseconds(random() % 400));  // A random moment: the test.
+    std::this_thread::sleep_for(std::chrono::milliseconds(random() % 400));  // Random moment of the kill.
   }
 
   /// Nothing moves from 1 s after the death on. Until then a command that was sent before it may still begin.
@@ -74,7 +74,7 @@ class KillTest : public ProgramTest {
     }
     slowest = std::max(slowest, std::chrono::duration_cast<std::chrono::milliseconds>(last_moving - died));
     EXPECT_FALSE(control->anything_moves()) << "moves 1 s after the death";
-    // And it stays so: what merely paused would go on.
+    // It stays at rest: a motion that had only paused would go on.
     std::this_thread::sleep_for(50ms);
     EXPECT_FALSE(control->anything_moves());
   }
@@ -193,7 +193,7 @@ class KilledConsoleTest : public KillTest {
     return run;
   }
 
-  /// @param longest_life_ms of a console
+  /// @param longest_life_ms  longest life of a console
   void kill_servers(int times, int longest_life_ms) {
     start_emulator();
     start_console();
@@ -243,7 +243,7 @@ class KilledConsoleTest : public KillTest {
       wait_until_in_motion(random, *server);
       ::kill(holder(), SIGKILL);
       expect_that_it_stands_still(std::chrono::steady_clock::now());
-      // The page is told, and then by the next process what was interrupted; nothing moves by itself.
+      // The page is informed, and then by the next process of the interrupted run; nothing moves by itself.
       page->wait_for([](const Json& m) { return m["type"] == "bench" && m["state"] == "gone"; }, "its death");
       const Json after = page->wait_for_type("snapshot");
       EXPECT_EQ(after["activity"]["activity"], "idle");

@@ -111,7 +111,7 @@ TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
   EXPECT_EQ(dropped["line"]["text"], why);
   EXPECT_EQ(dropped["line"]["grade"], "warning");
   EXPECT_EQ(items()[1]["missing"], why);
-  apply(done(2, {{1, 1.0}}));  // The first is the only one that is left.
+  apply(done(2, {{1, 1.0}}));  // Item 1 is the only one left.
   EXPECT_EQ(items()[0]["measured"], 3);
   EXPECT_EQ(items()[1]["measured"], 2);
   apply(run_of(12));
@@ -225,7 +225,7 @@ TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
     clock.advance(std::chrono::seconds(4));
   }
   EXPECT_EQ(measure(5)["progress"]["left_s"], 6 * 4.0);
-  // An hour's hold is no angle's time.
+  // The duration of a hold does not count as that of an angle.
   apply(PhaseEvent{6, RunPhase::kHolding});
   clock.advance(std::chrono::hours(1));
   EXPECT_EQ(measure(6)["progress"]["left_s"], 5 * 4.0);

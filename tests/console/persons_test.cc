@@ -1,4 +1,4 @@
-// Persons of the register at the console: what they may do, and that a run says who did it.
+// Persons of the register at the console: their rights, and that a run records who did what.
 
 #include "app/faces/console/persons.h"
 

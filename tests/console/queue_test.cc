@@ -245,7 +245,7 @@ TEST_F(QueueAtBenchTest, OutlivesTheServerAndIsPausedThen) {
     check_item(*page, 1);
   }
   close();
-  // The process that held the bench has told its end, and is over when its socket is gone.
+  // The process that held the bench has reported its end, and has ended when its socket is gone.
   ASSERT_TRUE(
       test::wait_for([&] { return !std::filesystem::exists(runs() / ".bench.bench"); }, test::kPatience));
   open();

@@ -56,7 +56,7 @@ TEST_F(SecurityTest, ThePageAllowsNothingFromElsewhere) {
   for (const Asset& asset : assets()) {
     EXPECT_EQ(test::http_get(port, std::string(asset.path)).body, asset.body) << asset.path;
     if (asset.path == "/chart.js") continue;  // Has addresses in its licence.
-    // A namespace is a name, no address; and link.js asks how it was loaded itself.
+    // An XML namespace is no address, and link.js tests the scheme of its own address.
     const std::string body = std::regex_replace(
         std::string(asset.body), std::regex("xmlns=\"http://www.w3.org/2000/svg\"|'https:' *\\?"), "");
     for (const char* elsewhere :
@@ -185,7 +185,7 @@ TEST_F(SecurityTest, OnlyATrustedProxySaysWhereARequestComesFrom) {
   };
   for (int i = 0; i < LoginThrottle::kFree; ++i) EXPECT_EQ(guess("192.0.2.1", "guess").status, 401U);
   EXPECT_EQ(guess("192.0.2.1", "0123456789abcdef").status, 429U);
-  // Before the proxy anybody can write what they like.
+  // Addresses before the one that the proxy wrote can be forged.
   EXPECT_EQ(guess("198.51.100.7, 192.0.2.1", "0123456789abcdef").status, 429U);
   const test::Answer other = guess("192.0.2.2", "0123456789abcdef");
   EXPECT_EQ(other.status, 303U);
@@ -201,7 +201,7 @@ TEST_F(SecurityTest, ANoteCannotTurnTheDirectionOfWriting) {
     EXPECT_FALSE(reply["ok"].get<bool>());
     EXPECT_THAT(reply["why"].get<std::string>(), HasSubstr("direction of writing"));
   }
-  // Others say that no run is on.
+  // Other notes get the reply that no run is in progress.
   EXPECT_THAT(page->ask({{"do", "note"}, {"text", "Tür \u05e9\u05dc\u05d5\u05dd"}})["why"].get<std::string>(),
               HasSubstr("no run is in progress"));
 }
@@ -272,7 +272,7 @@ TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
   EXPECT_EQ(status("GET / HTTP/1.1\r\n" + host + "X: " + std::string(20'000, 'a') + "\r\n\r\n"), 431U);
   EXPECT_EQ(status("GET /" + std::string(20'000, 'a') + " HTTP/1.1\r\n" + host + "\r\n"), 431U);
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 413U);
-  // More than that is read of a person who hands in a signed certificate, and of nobody else.
+  // Only a person who hands in a signed certificate may send more.
   for (const char* path : {"/", "/approve", "/runs/a.run/signed-certificate"}) {
     EXPECT_EQ(status(std::string("POST ") + path + " HTTP/1.1\r\n" + host + "Content-Length: 2000\r\n\r\n"),
               413U);
@@ -365,7 +365,7 @@ TEST_F(SecurityTest, OnePageSteersAtATime) {
 }
 
 TEST_F(SecurityTest, SilentConnectionsLockOutNobody) {
-  open();  // With the limits and times as they are.
+  open();  // With the default limits and times.
   std::vector<std::unique_ptr<test::RawConnection>> silent;
   for (int i = 0; i < 100; ++i) silent.push_back(std::make_unique<test::RawConnection>(port));
   const auto begun = std::chrono::steady_clock::now();
@@ -381,7 +381,7 @@ TEST_F(SecurityTest, SilentConnectionsAreEndedInTime) {
   options.request_time = std::chrono::seconds(1);
   open();
   test::RawConnection half(port), silent(port);
-  half.send("GET / HTTP/1.1\r\n");  // And never the rest.
+  half.send("GET / HTTP/1.1\r\n");  // The rest is never sent.
   EXPECT_TRUE(half.closed());
   EXPECT_TRUE(silent.closed());
   EXPECT_TRUE(is_logged("not complete after 1 s"));
@@ -406,7 +406,7 @@ TEST_F(SecurityTest, ARequestThatComesByteByByteIsCutOffAndHoldsUpNobody) {
   for (int i = 0; i < 20; ++i) slow.push_back(std::make_unique<test::RawConnection>(port));
   const std::string request = "GET / HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port) + "\r\nX: ";
   std::size_t sent = 0;
-  // A byte each now and then, which restarts no clock.
+  // Single bytes now and then do not restart the time limit.
   const auto cut_off = [&] {
     for (const auto& connection : slow)
       connection->send(sent < request.size() ? request.substr(sent, 1) : "x");

@@ -1,4 +1,4 @@
-// The start form: what a person sees before a run, and what it starts.
+// The start form: its contents before a run, and the run that it starts.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

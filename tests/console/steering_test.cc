@@ -81,7 +81,7 @@ TEST_F(SteeringTest, ARunIsTheSameAsThatOfTheCommandLine) {
     const test::ProgramResult analysed =
         test::run_program({"analyse", "runs/" + file, "--estimator", estimator, "--json"}, folder.path());
     Json printed = Json::parse(analysed.out), here = result;
-    printed.erase("source");  // A path, which differs with the folder one stands in.
+    printed.erase("source");  // A path, which depends on the current folder.
     here.erase("source");
     EXPECT_EQ(here, printed) << estimator;
   }
@@ -103,7 +103,7 @@ TEST_F(SteeringTest, HoldsAfterAnAngleAndGoesOn) {
                m["line"]["text"].get<std::string>().find("door opened") != std::string::npos;
       },
       "the note");
-  // Held: no angle comes.
+  // Held: no angle is measured.
   const auto a_while = std::chrono::steady_clock::now() + std::chrono::milliseconds(300);
   while (const auto message = page->next(a_while)) EXPECT_NE((*message)["type"], "dwell_done");
   test::PageClient late(port);
@@ -348,10 +348,10 @@ TEST_F(SteeringTest, APageThatDoesNotReadHoldsUpNobodyAndCatchesUp) {
     return test::http_get(port, "/runs").body.find("\"complete\"") != std::string::npos;
   };
   ASSERT_TRUE(test::wait_for(complete, test::kPatience));
-  // It asks, more than may be left waiting.
+  // It sends more requests than replies may wait.
   constexpr int kAsked = 100;
   for (int id = 1; id <= kAsked; ++id) deaf.send(Json{{"do", "stop"}, {"id", id}}.dump());
-  // It reads now: no reply was dropped; what else was, comes as a snapshot with all angles.
+  // It reads now: no reply was dropped; a snapshot with all angles replaces the dropped messages.
   int answered = 0;
   bool all_angles = false;
   Json ended;

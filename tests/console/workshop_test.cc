@@ -196,7 +196,7 @@ TEST_F(LargeRunTest, ItsPdfDelaysNoOtherAnswer) {
       longest_s = std::max(longest_s, seconds_for(path));
       ++answers;
     }
-    // They came before it, not after.
+    // The answers came before the PDF, not after.
     if (round == 0) {
       EXPECT_TRUE(is_printing());
     }

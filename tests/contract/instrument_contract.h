@@ -29,11 +29,11 @@ namespace abcal::contract {
 
 using namespace std::chrono_literals;
 
-/// A stage with the clock that it lives by. Its travel ends between 150 and 360 deg.
+/// A stage and its clock. Its travel ends between 150 and 360 deg.
 struct StageBench {
   std::shared_ptr<Clock> clock;  ///< Destroyed after the stage.
   std::shared_ptr<RotationStage> stage;
-  /// Where an axis really is, deg as the stage's own; absent: the encoder is believed.
+  /// True angle of an axis, in the stage's own degrees; absent: the encoder's angle is taken.
   std::function<Angle(StageAxis)> true_angle{};
 };
 
@@ -42,7 +42,7 @@ struct StageCase {
   std::function<StageBench()> make;
 };
 
-/// An accelerometer at rest with the clock that it lives by.
+/// An accelerometer at rest, and its clock.
 struct AccelerometerBench {
   std::shared_ptr<Clock> clock;  ///< Destroyed after the accelerometer.
   std::shared_ptr<Accelerometer> accelerometer;
@@ -95,7 +95,7 @@ class StageContract : public testing::TestWithParam<StageCase> {
     }
   }
 
-  /// Where the axis really is; as the encoder says where nothing else is known.
+  /// True angle of the axis; the encoder's angle if it is not known.
   Angle true_angle(StageAxis axis) {
     return bench.true_angle ? bench.true_angle(axis) : stage.encoder_angle(axis);
   }

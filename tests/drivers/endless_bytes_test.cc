@@ -26,7 +26,7 @@ namespace {
 using namespace std::chrono_literals;
 using test::EndlessStream;
 
-/// Some are whole lines or messages of somebody else, some have no end.
+/// Some are whole lines or messages of another protocol, some have no end.
 std::vector<std::string> babbles() {
   return {"x",           "garbage",           std::string(1024, 'x'),      std::string(64, '\0'), "other\r\n",
           "other\n\r\n", "!01 1 IDLE --\r\n", "@01 1 07 OK IDLE -- 0\r\n", "\x01\x02garbage"};
@@ -39,7 +39,7 @@ std::vector<std::unique_ptr<wire::ByteStream>> endless(std::size_t count, test::
   return streams;
 }
 
-/// `identify` ends by an error in words that is not the stream's.
+/// `identify` ends with an error of its own, not with that of the stream.
 template <class Call>
 void expect_an_end(const std::string& driver, const std::string& bytes, const Call& identify) {
   SCOPED_TRACE(driver + ", " + bytes.substr(0, 24));

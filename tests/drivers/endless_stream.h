@@ -12,9 +12,9 @@
 
 namespace abcal::test {
 
-/// Bytes that never cease to come, the same at each read, whatever is asked and whatever the deadline. A read
-/// takes a millisecond of the FakeClock. So that a test of a driver that does not stop fails and does not
-/// hang, the stream breaks off after kLongest, which no driver's patience reaches.
+/// An endless stream of bytes, the same at each read, for any command and deadline. A read takes a
+/// millisecond of the FakeClock. The stream ends with an error after kLongest, which exceeds every driver's
+/// patience, so that the test of a driver that does not stop fails instead of hanging.
 class EndlessStream final : public wire::ByteStream {
  public:
   static constexpr std::chrono::minutes kLongest{5};

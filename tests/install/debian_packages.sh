@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Packs what is built and looks into the packages.   debian_packages.sh CPACK BUILD
+# Makes the packages of a build and examines them.   debian_packages.sh CPACK BUILD
 set -euo pipefail
 cpack=$1 build=$2
 command -v dpkg-deb >/dev/null && command -v dpkg-shlibdeps >/dev/null || { echo "no dpkg-dev"; exit 77; }
@@ -57,20 +57,20 @@ dpkg-deb -x "$program" "$work/root"
 dpkg-deb -x "$pages" "$work/root"
 services=$work/root/usr/lib/systemd/system
 grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' "$services/abcal-console.service" || fail "the service starts another program"
-# What a process that is attacked could reach: systemd's figure, 0 to 10.
+# The exposure of the services to attacks: systemd's figure, 0 to 10.
 if command -v systemd-analyze >/dev/null; then
   for service in abcal-bench abcal-console; do
     systemd-analyze security --offline=true --threshold=20 --no-pager "$services/$service.service" >"$work/exposure" ||
       fail "$service.service: $(tail -1 "$work/exposure"); required: at most 2.0"
   done
 fi
-# Installed, but nobody enabled it.
+# The service is installed, but not enabled.
 if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
 
-# The program in its package works, from an empty folder, with the examples in theirs.
+# The packaged program works, from an empty folder, with the examples of their package.
 mkdir "$work/empty" && cd "$work/empty"
 "$work/root/usr/bin/abcal" plan "$work/root/usr/share/doc/abcal/examples/simulated.toml" >/dev/null
-# So does the module for Python, with the library of its package.
+# The module for Python works, with the library of its package.
 if [ -n "$python" ]; then
   dpkg-deb -x "$runtime" "$work/root"
   dpkg-deb -x "$python" "$work/root"

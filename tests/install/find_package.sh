@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs into a new folder and builds a program of somebody else against it.
+# Installs into a new folder and builds a third-party program against it.
 #   find_package.sh CMAKE BUILD SOURCE COMPILER
 set -euo pipefail
 cmake=$1 build=$2 source=$3 compiler=$4
@@ -37,8 +37,8 @@ if [ "$found" != "$expected" ]; then
 fi
 # A driver outside of the sources, under the installed contract.
 "$work/consumer/outside_driver_test" >"$work/contract.log" || { cat "$work/contract.log"; exit 1; }
-# The library: both of its examples, with nothing but Eigen beside it.
-# Under the address sanitizer, which makes Eigen allocate in another way unless the package keeps it from that.
+# The library: both of its examples, with Eigen as the only other dependency.
+# Under the address sanitizer, which makes Eigen allocate in another way unless the package prevents that.
 export ASAN_OPTIONS=detect_leaks=0
 for example in analysis driver; do
   "$cmake" -S "$source/docs/examples/cpp/$example" -B "$work/$example" -DCMAKE_PREFIX_PATH="$work/prefix" \
@@ -55,7 +55,7 @@ done
 [ "$(cat "$work/driver.log")" = "18 angles, joint" ] || { cat "$work/driver.log" >&2; exit 1; }
 # The installed program finds its helper programs.
 (cd "$work" && prefix/bin/abcal report readings.csv --hdf5 readings.h5 >report.log 2>&1) || { cat "$work/report.log"; exit 1; }
-# The installed program and the library say the same.
-# By way of a file: grep -q closes a pipe before everything is written, which abcal tells as a failure.
+# The installed program and the library give the same result.
+# By way of a file: grep -q closes a pipe before everything is written, which abcal reports as a failure.
 "$work/prefix/bin/abcal" analyse "$work/readings.csv" --json >"$work/result.json"
 grep -q '"estimator": "abc"' "$work/result.json"

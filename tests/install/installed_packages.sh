@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs the packages of a folder on this system, which is a fresh one, and uses what they hold.
+# Installs the packages of a folder on this fresh system, and uses their contents.
 #   installed_packages.sh FOLDER
 set -euo pipefail
 folder=${1:?}
@@ -8,7 +8,7 @@ apt-get update -qq
 apt-get install -y -qq --no-install-recommends "$folder"/abcal_*.deb "$folder"/abcal-doc_*.deb "$folder"/libabcal1_*.deb \
   "$folder"/python3-abcal_*.deb >/tmp/install.log 2>&1 || { tail -n 20 /tmp/install.log >&2; exit 1; }
 [ -z "$(dpkg --audit)" ] || { dpkg --audit >&2; exit 1; }
-# Not from the sources.
+# Runs outside of the sources.
 cd "$(mktemp -d)"
 abcal --version
 abcal run /usr/share/doc/abcal/examples/simulated.toml -o first.run >run.log 2>&1 || { tail -n 20 run.log >&2; exit 1; }

@@ -22,7 +22,7 @@ logged clang-format --dry-run -Werror drivers/new_*/*.{h,cc} sim/firmware/new_*.
   tests/fuzz/new_*.cc app/operate/bench/make_firmware.cc
 logged cmake -DSOURCE_DIR="$PWD" -P tests/layering_check.cmake
 
-# As a release is built: most objects are in the compiler cache then.
+# Built as a release, as most of its objects are in the compiler cache.
 logged cmake --preset release-ci
 targets=(abcal_drivers abcal_make_firmware)
 for driver in "${drivers[@]}"; do

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Upgrades packages of an elder version on this system, which is a fresh one, and looks at what must stay; then removes them.
+# Upgrades packages of an older version on this fresh system, checks what must stay unchanged, and removes them.
 #   upgrade.sh FOLDER      with FOLDER/old/*.deb and FOLDER/new/*.deb
 set -euo pipefail
 folder=${1:?}
@@ -11,7 +11,7 @@ version() { dpkg-query -W -f='${db:Status-Abbrev}${Version}' "$1"; }
 apt-get update -qq
 apt install "$folder"/old/*.deb
 old=$(version abcal)
-# What a user has made since: a bench file, a service that starts with the system, a run.
+# Files of a user: a bench file, a service that starts with the system, a run.
 mkdir -p /etc/abcal /etc/systemd/system/multi-user.target.wants
 cp /usr/share/doc/abcal/examples/simulated.toml /etc/abcal/bench.toml
 service=/etc/systemd/system/multi-user.target.wants/abcal-console.service
@@ -21,7 +21,7 @@ abcal run /etc/abcal/bench.toml -o /var/lib/abcal/old.run >/tmp/run.log 2>&1 || 
 kept() { (cat /etc/abcal/bench.toml /var/lib/abcal/old.run && readlink $service && getent passwd abcal) | sha256sum; }
 before=$(kept)
 
-# Their own dependencies first, so that dpkg alone upgrades.
+# Installs the dependencies first, so that dpkg alone upgrades.
 apt install "$folder"/new/*.deb --download-only
 names=$(for package in "$folder"/new/*.deb; do dpkg-deb -f "$package" Package; done)
 apt-get install -s -qq --no-install-recommends "$folder"/new/*.deb >/tmp/plan
@@ -37,7 +37,7 @@ done
 [ "$(kept)" = "$before" ] || fail "the bench file, the run, the service's link or the user changed"
 [ "$(dpkg -S /usr/share/doc/abcal/examples/simulated.toml)" = "abcal-doc: /usr/share/doc/abcal/examples/simulated.toml" ] ||
   fail "examples belong to $(dpkg -S /usr/share/doc/abcal/examples/simulated.toml)"
-# No file of the old package is left that nobody owns.
+# No file of the old packages is left without an owner.
 for package in "$folder"/old/*.deb; do
   dpkg-deb --fsys-tarfile "$package" | tar -t | sed 's,^\.,,' | grep -v '/$' >/tmp/files
   while read -r file; do

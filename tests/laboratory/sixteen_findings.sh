@@ -163,7 +163,7 @@ expect 0 'validates' xmllint --nonet --noout --schema "$schemas/v3.3.0/dcc.xsd" 
 mkdir none
 expect 2 'none' "$abcal" issue 5.run --laboratory lab.toml --schemas none
 
-# Who may write every file has neither the bench's key nor the authority's.
+# A person who can write all files still has neither the key of the bench nor that of the authority.
 number=evidence
 printf '\nEvidence: a run that is signed and stamped, changed by someone who may write every file\n'
 cat >tsa.cnf <<'C'
@@ -207,7 +207,7 @@ expect 1 'it is not the signature of .* for the present content' "$abcal" verify
 rm sealed.run.results
 "$abcal" analyse sealed.run >said 2>&1
 expect 1 'no signature by a trusted key' "$abcal" verify sealed.run "${both[@]}"
-# All of it made anew by another key, with a stamp of the same authority.
+# Everything is made again with another key, and a stamp of the same authority.
 rm -f sealed.run sealed.run.results
 ABCAL_SIGNING_KEY=$work/thief.pem measure sealed -e 's/^offset = \[0.0054/offset = [0.0055/'
 stamp sealed.run

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # A forbidden include does not compile: tries one in each wing and some layers, with the include root that its target has,
-# and beside it one that is permitted.
+# and also a permitted one.
 #   doors.sh COMPILER DOORS
 set -euo pipefail
 compiler=$1
 doors=$(realpath "$2")
 failed=0
-# The compiler looks beside the source first, here in the current folder.
+# The compiler searches the folder of the source first, here the current one.
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"

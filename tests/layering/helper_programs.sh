@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Reads the symbols and the sizes of the helper programs: each holds only what it calls.
+# Reads the symbols and the sizes of the helper programs: each contains only the code that it calls.
 #   helper_programs.sh BUILD
 set -euo pipefail
 cd "$1"

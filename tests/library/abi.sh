@@ -25,7 +25,7 @@ if ! abidiff --no-added-syms "$work/kept.abi" "$work/now.abi" >"$work/log"; then
   echo "The binary interface of libabcal.so.1 has changed. Required: the old one, or a new soname (docs/library.md)." >&2
   exit 1
 fi
-# No more is shown than the library's own names and what drivers outside of it are made of.
+# The library exports only its own names and those that external drivers need.
 readelf --dyn-syms --wide "$library" | awk '$5 == "GLOBAL" && $7 != "UND" || $5 == "WEAK" && $7 != "UND" {print $8}' |
   c++filt >"$work/shown"
 if grep -vE '(^| )abcal::(v1|InstrumentError)::|for abcal::(v1|InstrumentError)|^abcal::to_string\(abcal::Fault\)|^abcal::in_words' "$work/shown"; then

@@ -14,7 +14,7 @@ import numpy as np
 import abcal
 from support import MATRIX, OFFSET, circles, simulated, write_bench, write_csv
 
-#: What bad arguments may raise.
+#: Exceptions that bad arguments may raise.
 EXPECTED = (ValueError, TypeError, RuntimeError, KeyError, IndexError, OverflowError, AttributeError, UnicodeError)
 
 
@@ -125,7 +125,7 @@ class Caller:
         abcal.compare(self.pick([self.file(), self.file()], [], [self.file()]), **self.settings(group_by=["day", "x"], estimator=["abc"]))
 
     def plan(self):
-        # No question that is one: an answer takes a minute.
+        # Only invalid requests: a valid plan takes a minute.
         abcal.plan(self.folder / "bench.toml", self.pick("s=0", "phi=1e-3", "x=2 deg", "s=-1") or "nothing", **self.settings(within_s=[-1.0, np.nan]))
 
     def study(self):
@@ -133,7 +133,7 @@ class Caller:
 
     def call(self):
         common = [self.record, self.read_result, self.read_record, self.simulate, self.specific_force, self.load]
-        # Of the others each is made some 300 times in a hundred thousand: under the sanitizer an analysis takes seconds.
+        # Each other call is made some 300 times in a hundred thousand: under the sanitizer an analysis takes seconds.
         kinds = common * 60 + [self.analyse, self.write_into, self.bench, self.compare, self.plan, self.study]
         kind = self.random.choice(kinds)
         kind()
@@ -155,7 +155,7 @@ def main():
                     raise AssertionError(f"call {number}: {type(error).__name__} without a message") from error
                 outcomes[type(error).__name__] += 1
     print(f"{calls} calls, seed {seed}: {dict(outcomes)}")
-    # Both must be there, or the calls try nothing.
+    # Both outcomes must occur, or the calls test nothing.
     if outcomes["done"] < calls // 10 or outcomes["ValueError"] < calls // 50:
         sys.exit("too few calls succeed, or too few are refused")
 

@@ -38,14 +38,14 @@ class SystemClock final : public Clock {
   Instant now() const override { return std::chrono::steady_clock::now() + ahead_.load(); }
   UtcTime utc_now() const override { return std::chrono::system_clock::now(); }
   void sleep_until(Instant instant) override { std::this_thread::sleep_until(instant - ahead_.load()); }
-  /// Time passes of which an emulator sees nothing, as when the machine has others to serve.
+  /// Lets time pass in which the emulator does not run, as on a busy machine.
   void leap(Duration duration) { ahead_ = ahead_.load() + duration; }
 
  private:
   std::atomic<Duration> ahead_{Duration::zero()};
 };
 
-/// A program that knows nothing of ours: a file descriptor, with deadlines.
+/// A program without code of this project: a file descriptor, with deadlines.
 class Client {
  public:
   static Client terminal(const std::filesystem::path& path) {
@@ -199,7 +199,7 @@ TEST_F(EmulatorTest, TheNextClientFindsNeitherTheOldOnesOutputNorItsLock) {
     pollfd wait{.fd = first.fd(), .events = POLLIN, .revents = 0};
     ASSERT_EQ(::poll(&wait, 1, 1000), 1);
   }
-  // Until the emulator has noticed: the line is free when nothing lies on it.
+  // Waits until the emulator has noticed: the line is then free of old bytes.
   Client second = Client::terminal(link("accelerometer"));
   ASSERT_TRUE(second.open());
   int exclusive = 1;
@@ -290,7 +290,7 @@ TEST_F(EmulatorTest, ARealLineGarblesWhatIsSentAtAnotherSpeed) {
   set_speed(client, B9600);
   client.send(kIdle);
   EXPECT_EQ(client.receive(kAck, milliseconds(200)), "") << "the device sees noise only";
-  // It has been looked at by now, however busy the machine is: all ports are, in each round.
+  // It has been polled by now, however busy the machine is, as each round polls all ports.
   for (int round = 0; round < 2; ++round) EXPECT_EQ(other.ask("CSV?\n", 4), kVersion);
   EXPECT_EQ(client.receive(kAck, milliseconds(0)), "");
   set_speed(client, B460800);

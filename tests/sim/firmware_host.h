@@ -9,7 +9,7 @@
 
 namespace abcal::sim {
 
-/// An ordinary host program: sends bytes, waits, and looks at what came back.
+/// An ordinary host program: sends bytes, waits, and reads the answer.
 class FirmwareHost {
  public:
   explicit FirmwareHost(Firmware& firmware) : firmware_(firmware) {}

@@ -29,7 +29,7 @@ class NewportEspFirmwareTest : public testing::Test {
     host.send(std::string(query) + "\r");
     return host.listen(milliseconds(2));
   }
-  /// A set command says nothing; its error is asked for.
+  /// Sends a set command, which has no reply, and queries its error.
   std::string command(std::string_view text) {
     EXPECT_EQ(ask(text), "") << text;
     return ask("TE?");

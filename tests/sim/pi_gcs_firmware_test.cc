@@ -26,7 +26,7 @@ class PiGcsFirmwareTest : public testing::Test {
         host(firmware) {}
 
   std::string ask(std::string_view query) { return host.exchange(std::string(query) + "\n"); }
-  /// A set command says nothing; its error is asked for.
+  /// Sends a set command, which has no reply, and queries its error.
   std::string command(std::string_view text) {
     EXPECT_EQ(ask(text), "") << text;
     return ask("ERR?");

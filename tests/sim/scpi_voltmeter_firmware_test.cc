@@ -37,7 +37,7 @@ class ScpiTest : public testing::Test {
     host.send(std::string(query) + "\n");
     return host.listen(wait);
   }
-  /// A set command says nothing; its error is asked for.
+  /// Sends a set command, which has no reply, and queries its error.
   std::string command(std::string_view text) {
     EXPECT_EQ(ask(text), "") << text;
     return ask("SYST:ERR?");

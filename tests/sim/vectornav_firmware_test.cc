@@ -79,7 +79,7 @@ class VectorNavFirmwareTest : public testing::Test {
   }
 
   std::string raw(const std::string& bytes) { return host.exchange(bytes); }
-  /// With the 8-bit checksum, which must come back.
+  /// Sends a command with the 8-bit checksum, which the reply must have as well.
   std::string ask(const std::string& text) {
     const std::string answer = host.exchange("$" + text + "*" + xor_sum(text) + "\r\n");
     if (answer.size() < 6) return answer;

@@ -18,7 +18,7 @@ namespace {
 using std::chrono::milliseconds;
 using namespace std::string_literals;
 
-/// Answered at once, so that a frame's answer is there before the next frame is sent.
+/// Settings for answers without delay, so that an answer is complete before the next frame is sent.
 WatlowF4Settings settings_of(bool tcp) {
   WatlowF4Settings settings;
   settings.tcp = tcp;

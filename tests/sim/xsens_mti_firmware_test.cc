@@ -544,7 +544,7 @@ TEST(XsensMtiSettingsTest, RefusesWhatCannotBe) {
   EXPECT_THROW(XsensMtiFirmware(bench, {.base_rate_hz = 0}), std::invalid_argument);
 }
 
-// End to end with the driver, which was written by itself.
+// End to end with the driver, which was written independently.
 
 class XsensDriverTest : public testing::Test {
  protected:

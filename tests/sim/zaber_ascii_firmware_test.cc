@@ -463,7 +463,7 @@ TEST(ZaberAsciiSettingsTest, RefusesWhatCannotBe) {
     EXPECT_THROW(ZaberAsciiFirmware(bench, {.axis_names = {"1 1", name}}), std::invalid_argument) << name;
 }
 
-// End to end with the driver, which was written by itself.
+// End to end with the driver, which was written independently.
 
 struct DriverCase {
   const char* name;

@@ -11,7 +11,7 @@
 
 namespace abcal::test {
 
-/// The control port of an emulator: what the simulated stage really does.
+/// A client of an emulator's control port, which gives the true state of the simulated stage.
 class EmulatorControlClient {
  public:
   explicit EmulatorControlClient(std::uint16_t port) {

@@ -7,7 +7,7 @@
 
 namespace abcal::test {
 
-/// A Clock that stands still until somebody sleeps or sets it. Any thread.
+/// A Clock that stands still until a caller sleeps or sets it. For any thread.
 class FakeClock final : public Clock {
  public:
   Instant now() const override { return Instant(Duration(nanoseconds_.load())); }

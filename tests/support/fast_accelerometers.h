@@ -29,7 +29,7 @@ struct FastAccelerometer {
   bool on_demand = false;
 };
 
-/// @throws std::invalid_argument for a driver whose highest rate nobody has written here.
+/// @throws std::invalid_argument for a driver whose highest rate is not listed here
 inline FastAccelerometer fastest(const std::string& driver) {
   if (driver == "microstrain_mip") return {.rate_hz = 1000.0};
   if (driver == "vectornav") return {.rate_hz = 800.0, .baud = 921600};

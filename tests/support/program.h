@@ -127,8 +127,8 @@ inline ProgramResult run_program(const std::vector<std::string>& arguments,
   return {code, program.out(), program.err()};
 }
 
-/// Looks again and again until `condition` holds, for another process to get somewhere; false after
-/// `longest`.
+/// Polls until `condition` holds, e.g. to wait for progress of another process. @return false after
+/// `longest`
 inline bool wait_for(const std::function<bool()>& condition, std::chrono::milliseconds longest) {
   const auto deadline = std::chrono::steady_clock::now() + longest;
   while (!condition()) {

@@ -36,7 +36,7 @@ class ScriptedLine final : public wire::ByteStream {
   // ---- The script
 
   bool byte_by_byte = false;
-  bool silent = false;  ///< To everything.
+  bool silent = false;  ///< No reply to any command.
   bool unplugged = false;
   struct Mishap {
     std::optional<std::string> instead{};  ///< Sent in place of the answer; "" is silence.
@@ -112,7 +112,7 @@ class ScriptedLine final : public wire::ByteStream {
     std::string bytes;
   };
 
-  /// In the order in which the other side answers: nothing overtakes.
+  /// Queues bytes behind all earlier ones, as the other side answers in order.
   void put(std::string_view bytes, Clock::Instant at) {
     if (!coming_.empty()) at = std::max(at, coming_.back().at);
     if (!byte_by_byte) {

@@ -13,9 +13,9 @@
 
 namespace abcal::test {
 
-/// The far end of a port on which each write is one command: a function is shown each command and says, at
-/// any time from then on, whatever it likes. Times are those of the FakeClock, which a read takes to the
-/// arrival of the next bytes or to its deadline.
+/// The far end of a port on which each write is one command: a function gets each command and may send any
+/// bytes at any time from then on. Times are those of the FakeClock, which a read advances to the arrival of
+/// the next bytes or to its deadline.
 class ScriptedPort final : public wire::ByteStream {
  public:
   using OnCommand = std::function<void(ScriptedPort&, const std::string& command)>;

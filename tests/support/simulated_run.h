@@ -41,7 +41,7 @@ struct SimulatedRun {
   ExpectedItem expected;
   std::string unit = "g";
   double g_loc_mps2 = 9.80101;
-  std::array<int, 2> stage_sign{1, 1};  ///< -1: the axis counts the wrong way, and nobody said so.
+  std::array<int, 2> stage_sign{1, 1};  ///< -1: the axis counts the wrong way, and no key states it.
   /// Called before the run begins.
   std::function<void(sim::SimBench& world, Clock::Instant now)> before_run;
   /// Called after each angle, with how many there are.

@@ -43,7 +43,7 @@ class TrainingRegister {
     ::setenv("XDG_STATE_HOME", (folder_ / "state").c_str(), 1);
     ::setenv("ABCAL_REGISTER", (folder_ / "register.db").c_str(), 1);
   }
-  /// From now on they use none.
+  /// From now on programs use no register.
   static void leave() {
     ::unsetenv("ABCAL_REGISTER");
     ::unsetenv("XDG_STATE_HOME");
@@ -51,7 +51,7 @@ class TrainingRegister {
 
   void log_in(const std::string& name) { lab({"login", name}, true); }
 
-  /// `abcal lab` with these words. @throws std::runtime_error if it fails
+  /// Runs `abcal lab` with these words. @throws std::runtime_error if it fails
   std::string lab(std::vector<std::string> words, bool with_password = false) {
     words.insert(words.begin(), "lab");
     if (with_password) words.insert(words.end(), {"--password-file", (folder_ / "password").string()});

@@ -19,24 +19,24 @@ struct ResponseErrors {
   double worst_at_1g(double unit_mps2) const;
 };
 
-/// What the registers of an instrument would have to do, by a result of the output as it was with
-/// `in_force`, so that the output is right: the result undoes what is left after `in_force`, which stays in
-/// it. What `shape` cannot hold is as in `in_force`: offsets only, or no cross-axis elements.
+/// The correction that makes the output right: `in_force` followed by the constants of a result that was
+/// measured with `in_force` in the registers. The parts that `shape` cannot hold (the matrix, or its
+/// cross-axis elements) are those of `in_force`.
 /// @throws std::invalid_argument if the output is no acceleration, or `in_force` is singular
 OutputCorrection composed(const CorrectionConstants& constants, const OutputCorrection& in_force,
                           CorrectionShape shape);
 
-/// What is wrong with the output once `held` is in the registers, by a result of the output as it was with
-/// `in_force`. With `held` as `in_force`: what was found.
+/// Errors of the output once `held` is in the registers, from a result that was measured with `in_force` in
+/// them. `held` equal to `in_force` gives the errors as found.
 ResponseErrors errors_with(const CorrectionConstants& constants, const OutputCorrection& in_force,
                            const OutputCorrection& held);
 
-/// What a run of the output as it is says.
+/// Errors of the output as a run measured it, the registers unchanged.
 ResponseErrors errors_of(const CorrectionConstants& constants);
 
-/// Whether what was measured afterwards is what was predicted: each of the twelve numbers within three
-/// standard uncertainties of both and of the steps of the registers.
-/// @return the worst of them in words; empty: all are
+/// Compares the errors as left with the predicted ones: each of the twelve must agree within three standard
+/// uncertainties, in which both results and the steps of the registers are combined.
+/// @return the worst disagreement in words; empty: none
 std::string disagreement(const ResponseErrors& left, const ResponseErrors& predicted,
                          const CorrectionAbility& ability);
 

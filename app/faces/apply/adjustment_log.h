@@ -12,20 +12,20 @@ namespace abcal {
 
 /// How far an adjustment has come.
 enum class AdjustmentState {
-  kBegun,       ///< The old content is kept; perhaps something is written.
+  kBegun,       ///< The old content is stored; registers may have been written.
   kDeclined,    ///< Nothing was written: a person said no.
   kWritten,     ///< Written and read back.
-  kVerified,    ///< A run afterwards shows what was predicted.
-  kSaving,      ///< Perhaps kept by the instrument.
+  kVerified,    ///< A run afterwards agrees with the prediction.
+  kSaving,      ///< Storing in the instrument has begun; it may have succeeded.
   kSaved,       ///< Kept by the instrument when it is switched off.
   kUndone,      ///< The old content is back, and was read back.
   kUndoFailed,  ///< It could not be brought back.
 };
 std::string_view to_string(AdjustmentState state);
 
-/// One adjustment of an instrument: all that undoing it needs.
+/// One adjustment of an instrument, with all data needed to undo it.
 struct Adjustment {
-  int item = 1;  ///< Of the run.
+  int item = 1;  ///< Number of the item in the run.
   std::string utc;
   std::string driver, model, serial_number;
   std::string label;  ///< Serial number on the label, where the instrument reports none.
@@ -33,11 +33,11 @@ struct Adjustment {
   AdjustmentState state = AdjustmentState::kBegun;
   bool saved = false;   ///< The instrument was told to keep `after`: undoing must be kept as well.
   std::string as_left;  ///< Run file of the verification.
-  std::string why;      ///< What ended it, where something failed.
+  std::string why;      ///< Reason of a failure; empty: none.
 
-  /// What is in the registers may not be what was in them before.
+  /// Whether the registers may differ from their content before the adjustment.
   bool can_be_undone() const;
-  /// It ended neither in success nor undone: a program was killed, or could not undo.
+  /// Whether it neither succeeded nor was undone: the program was killed, or could not undo it.
   bool is_unfinished() const;
 };
 
@@ -45,7 +45,7 @@ struct Adjustment {
 /// before the function returns.
 class AdjustmentLog {
  public:
-  /// Reads what is there. @throws std::runtime_error if it cannot be read
+  /// Reads the file if it exists. @throws std::runtime_error if it cannot be read
   explicit AdjustmentLog(const std::filesystem::path& run);
 
   static std::filesystem::path path_beside(const std::filesystem::path& run);
@@ -57,7 +57,7 @@ class AdjustmentLog {
 
   /// @throws std::runtime_error if it cannot be stored
   void begin(Adjustment adjustment);
-  /// Changes the last one that was begun, or that is undone now.
+  /// Replaces the stored adjustment that has the same time and item.
   void update(const Adjustment& adjustment);
 
  private:

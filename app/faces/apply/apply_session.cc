@@ -81,8 +81,8 @@ CalibrationResult ApplySession::find_result(const ApplyRequest& request, StoredR
   return result;
 }
 
-/// @param item           of the run: its number on a bench with several items, unless the serial number is
-///                        that of another one there
+/// @param item           its number in the run; also its number on the bench, unless the serial number is
+///                        that of another item on it
 /// @param serial_number  as the instrument reported it; empty: it reports none
 void ApplySession::open(const ApplyRequest& request, int item, const std::string& serial_number) {
   start_ = {request.bench, request.as_left.string()};
@@ -101,7 +101,7 @@ void ApplySession::open(const ApplyRequest& request, int item, const std::string
                           item_.missing + ". Nothing was written");
 }
 
-/// What the bench file says of the instrument.
+/// The settings of the instrument in the bench file.
 const AccelerometerConfig& ApplySession::config_of(const BenchConfig& config) const {
   const auto place = static_cast<std::size_t>(item_.k) - 1;
   return config.items.at(place < config.items.size() ? place : 0).accelerometer;
@@ -175,7 +175,7 @@ ApplyReport ApplySession::compute(const ApplyRequest& request) {
   report.in_force = run.own_item().registers;
   report.before = item_.corrections;
   const OutputCorrection in_force = corrections.decode(report.in_force);
-  (void)corrections.decode(report.before);  // Or it could not be read back later.
+  (void)corrections.decode(report.before);  // Fails before anything is written.
   report.after = corrections.encode(composed(constants, in_force, ability_.shape), report.before);
   report.as_found = errors_of(constants);
   report.predicted = errors_with(constants, in_force, corrections.decode(report.after));

@@ -14,42 +14,42 @@
 
 namespace abcal {
 
-/// What is to be written into which instrument.
+/// The run whose result is written, and the instrument that receives it.
 struct ApplyRequest {
-  std::filesystem::path run;  ///< Complete; its result is what is written.
-  int item = 0;               ///< Of a run with several, from 1; 0: it has one.
-  BenchConfig bench;          ///< With the plan of the verification under [protocol].
+  std::filesystem::path run;  ///< Complete run; its result is written.
+  int item = 0;               ///< Number of the item, from 1; 0: the only one of the run.
+  BenchConfig bench;          ///< Its [protocol] holds the plan of the verification.
   std::string bench_file;     ///< Its name, for messages.
   std::string estimator;      ///< Empty: the one that the run declares.
   ExportFrame frame = ExportFrame::kItem;
   /// Serial number on the label, as a person reads it; needed where the instrument reports none.
   std::string label;
   bool accept_doubtful = false;   ///< A person has read why the result is doubtful.
-  bool dry_run = false;           ///< Compute and write nothing, no file either.
+  bool dry_run = false;           ///< Only compute: write neither registers nor files.
   bool save = false;              ///< Let the instrument keep it when it is switched off.
   std::filesystem::path as_left;  ///< Run file of the verification.
 };
 
-/// What was found, written and left.
+/// Errors as found, registers before and after, and errors as left.
 struct ApplyReport {
-  int item = 1;  ///< Of the run.
+  int item = 1;  ///< Number of the item in the run.
   std::string driver, model, serial_number;
   CorrectionAbility ability;
   RegisterTexts in_force;  ///< During the run.
   RegisterTexts before;    ///< Just before writing.
   RegisterTexts after;
-  std::string unit;  ///< Of offsets.
+  std::string unit;  ///< Unit of the offsets.
   double unit_mps2 = 1.0;
   ResponseErrors as_found;
-  ResponseErrors predicted;  ///< What the registers cannot hold, their steps included.
+  ResponseErrors predicted;  ///< Errors with `after`, which has the shape and steps of the registers.
   std::optional<ResponseErrors> as_left;
   CalibrationResult found;
   std::optional<CalibrationResult> left;
   std::filesystem::path as_left_run;
-  std::filesystem::path log;  ///< Of what is needed to undo; empty: a dry run.
+  std::filesystem::path log;  ///< File with the data for undoing; empty: a dry run.
   AdjustmentState state = AdjustmentState::kBegun;
-  std::string failure;       ///< Empty: none. What failed, and what was done about it.
-  bool interrupted = false;  ///< By a person.
+  std::string failure;       ///< The failure and the action taken; empty: none.
+  bool interrupted = false;  ///< A person ended the verification.
 };
 
 /// Writes the constants of a run into the registers of its accelerometer, verifies them by a further run, and
@@ -66,11 +66,11 @@ class ApplySession {
   /// `session` must outlive this; it opens the bench and measures the verification.
   ApplySession(RunSession& session, Options options);
 
-  /// @throws InstrumentError, std::invalid_argument, std::runtime_error: what is refused before anything is
-  /// written. What fails later is in the report, and the old content is back, or the report says that not.
+  /// @throws InstrumentError, std::invalid_argument, std::runtime_error before anything is written. A later
+  /// failure is in the report, with the state: the old content is restored, or could not be.
   ApplyReport apply(const ApplyRequest& request);
 
-  /// Brings the content back that was there before the last adjustment with the constants of this run.
+  /// Restores the register content from before the last adjustment with the constants of this run.
   /// @throws as apply(), and InstrumentError if that fails
   ApplyReport undo(const ApplyRequest& request);
 

@@ -172,7 +172,7 @@ nlohmann::ordered_json apply_json(const ApplyReport& report) {
       {"state", report.log.empty() ? "dry run" : std::string(to_string(report.state))},
       {"failure", report.failure},
       {"log", report.log.string()}};
-  if (report.in_force.empty()) return json;  // Undone: nothing was calibrated.
+  if (report.in_force.empty()) return json;  // A report of undo() has no calibration.
   json["unit"] = report.unit;
   json["errors"] = {{"as_found", errors_json(report.as_found, report.unit_mps2)},
                     {"predicted", errors_json(report.predicted, report.unit_mps2)},

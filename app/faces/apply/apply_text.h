@@ -7,13 +7,13 @@
 
 namespace abcal {
 
-/// What would be written, or was: registers, steps, errors as found and as they are to be.
+/// The adjustment, made or only computed: registers, steps, errors as found and as predicted.
 std::string apply_text(const ApplyReport& report);
 
-/// What became of it: errors as left beside those before, and the state.
+/// The outcome of the adjustment: errors as found, predicted and left, and the state.
 std::string outcome_text(const ApplyReport& report);
 
-/// `abcal.apply/1`: all of it.
+/// The whole report as JSON, schema `abcal.apply/1`.
 nlohmann::ordered_json apply_json(const ApplyReport& report);
 
 }  // namespace abcal

@@ -40,10 +40,10 @@ bool has_no_angles(const std::filesystem::path& path) {
   return false;
 }
 
-/// What is to be kept of an item of a run.
+/// An item of a run and the result to be stored for it.
 using Kept = std::pair<const StoredRun*, const CalibrationResult*>;
 
-/// Keeps analyses with a closed run; what cannot be kept (a read-only folder) is shown all the same.
+/// Stores analyses with a closed run. A failure (a read-only folder) is only a warning.
 void keep(const std::filesystem::path& path, const std::vector<Kept>& analyses) {
   if (!RunFile::looks_like_run_file(path) || !RunFile::is_closed(path)) return;
   try {
@@ -67,7 +67,7 @@ struct AnalyseOptions {
   bool json = false;
 };
 
-/// The items of a run, or the one of a CSV; for an estimator that needs no angles also a file without angles.
+/// The items of a run or CSV. An estimator that needs no angles also accepts a file without angles.
 std::vector<StoredRun> load(const AnalyseOptions& options) {
   std::error_code error;
   if (options.estimator.empty() || find_estimator(options.estimator).needs_angles ||
@@ -112,8 +112,8 @@ bool agrees_with_truth(const AnalyseOptions& options, const StoredRun& item,
   return comparison.agrees();
 }
 
-/// One item by the estimator asked for, else by the one that the run declares: joint is the common fit of all
-/// items, each other one knows this item alone.
+/// One item by the requested estimator, else by the one that the run declares. `joint` fits all items
+/// together; every other estimator uses this item alone.
 int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k) {
   std::string estimator = options.estimator;
   if (estimator.empty() && options.json) estimator = declared_estimator(items.front().record).name;

@@ -31,11 +31,11 @@ struct ApplyCommand {
   bool yes = false, undo = false, json = false;
 };
 
-/// Uncertainties of the verification over those of the run: it shows whether the registers do what they are
-/// to do, and need not be as good as the calibration.
+/// Ratio of the uncertainties of the verification to those of the run. The verification tests whether the
+/// registers act as predicted, and need not be as good as the calibration.
 constexpr double kCoarser = 2.0;
 
-/// The shortest plan that verifies what a run found.
+/// The shortest plan that verifies the result of a run.
 ProtocolConfig verification_plan(const ApplyRequest& request, const BenchConfig& config) {
   const int item = chosen_item(request.run, request.item);
   std::vector<StoredRun> items = load_items(request.run);
@@ -55,7 +55,7 @@ ProtocolConfig verification_plan(const ApplyRequest& request, const BenchConfig&
   return plan.plan ? plan.plan->protocol : config.protocol;
 }
 
-/// What a person at the terminal says; no answer is no.
+/// The answer of a person at the terminal; anything but "yes" or "y" is no.
 bool ask_at_terminal(const std::string& question) {
   if (::isatty(STDIN_FILENO) == 0)
     throw std::invalid_argument(

@@ -50,7 +50,7 @@ std::string command_to_continue(const CampaignOptions& options, const std::files
 }
 
 /// Whether a run of the campaign is measured already.
-/// @throws std::invalid_argument if something else is there
+/// @throws std::invalid_argument if the file is another or an incomplete run, or is not to be kept
 bool is_measured(const std::filesystem::path& path, const CampaignOptions& options,
                  const BenchConfig& config) {
   if (!std::filesystem::exists(path)) return false;
@@ -82,7 +82,7 @@ void ask_to_remount(int run, int runs) {
   for (;;) {
     if (interrupt_token().stop_requested()) throw RunInterrupted("stopped by the operator between two runs");
     pollfd input{STDIN_FILENO, POLLIN, 0};
-    const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
+    const int ready = ::poll(&input, 1, 200);  // ms, between two checks for an interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
     throw std::runtime_error(
@@ -90,7 +90,7 @@ void ask_to_remount(int run, int runs) {
   }
 }
 
-/// What of a campaign is there when it ends early.
+/// Prints which runs of a campaign that ends early are complete, and the command that continues it.
 void tell_how_to_continue(const CampaignOptions& options, const std::vector<std::filesystem::path>& paths,
                           std::size_t failed) {
   std::vector<std::string> complete;
@@ -157,7 +157,7 @@ int run_campaign(const CampaignOptions& options) {
 
   measure_missing(options, config, paths, missing);
 
-  std::vector<CampaignReport> reports;  // Of each item.
+  std::vector<CampaignReport> reports;  // One for each item.
   for (const std::filesystem::path& path : paths) {
     AnalysedRun run = analyse_run(RunFile::load_items(path));
     reports.resize(run.items.size());

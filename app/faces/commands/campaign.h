@@ -11,11 +11,11 @@ struct CampaignOptions {
   int repeat = 0;
   bool remount = false;                ///< A person remounts the accelerometer between the runs.
   bool keep_complete_runs = false;     ///< Runs that are complete are kept, only the others are measured.
-  bool without_missing_items = false;  ///< Of several items the others are measured if some are not there.
+  bool without_missing_items = false;  ///< Measure the other items if some are missing.
   bool json = false;
 };
 
-/// Measures, stores and summarises. What ends one run ends the campaign; the runs before are kept.
+/// Measures, stores and summarises. A failure of one run ends the campaign; the earlier runs are kept.
 /// @return the exit code of the program
 /// @throws as `abcal run`; std::invalid_argument for files in the way, for --remount without a terminal
 int run_campaign(const CampaignOptions& options);

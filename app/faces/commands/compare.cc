@@ -45,7 +45,7 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
                       "analysis of variance between groups: day, stage, or a label such as operator.name");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.compare/1");
   command->callback([options, &exit_code] {
-    // What a stage does to two results alike is known of the published protocol's equations.
+    // The effect of a shared stage on two results is known for the published protocol's equations only.
     if (options->estimator.empty() && options->compare.shared_stage) options->estimator = kPublishedEstimator;
     const ResultsComparison comparison =
         compare_results(load_compared(options->files, options->estimator, options->item), options->compare);

@@ -125,12 +125,12 @@ struct EmulateCommand {
   std::optional<std::uint16_t> control;
   bool follow_stage = false;
   std::string compare;     ///< Log to compare with; nothing is served then.
-  std::string instrument;  ///< Which port of the bench it is of; may be empty where there is only one.
+  std::string instrument;  ///< Port of the bench that the log is of; may be empty if the bench has one port.
   bool json = false;
 };
 
 /// The ports of a bench that have bytes to serve.
-/// @throws std::invalid_argument  if there are none
+/// @throws std::invalid_argument  if it has none
 std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_stage) {
   std::vector<InstrumentPort> ports;
   const auto add = [&](const std::vector<InstrumentPort>& more) {

@@ -48,7 +48,7 @@ CorrectionConstants constants_of_file(const ExportCommand& command) {
   return constants;
 }
 
-/// What a format writes, and the verdict on it.
+/// The text that a format writes, and the verdict on its result.
 struct Exported {
   std::string text, verdict;
   std::string left_out;  ///< With the reason; empty: nothing.

@@ -49,7 +49,7 @@ std::optional<Registered> open_registered(const IssueOptions& options, Clock::Ut
   return Registered{std::move(opened), std::move(approver)};
 }
 
-/// The printed certificate, and beside it its detached signature where there is a key.
+/// Writes the printed certificate and, if a key is given, its detached signature.
 void write_printed(const IssueOptions& options, const std::string& xml) {
   PdfPrinter printer;
   const HtmlPage page = document_html(certificate_page(xml));

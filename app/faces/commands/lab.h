@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// What the commands of `abcal lab` share.
+/// Options common to the commands of `abcal lab`.
 struct LabOptions {
   std::string location;  ///< --register
 };
@@ -25,7 +25,7 @@ void add_lab_copies(CLI::App& parent, const std::shared_ptr<LabOptions>& shared,
 /// Adds `abcal lab timestamp`, which needs no register.
 void add_lab_time_stamp(CLI::App& parent, int& exit_code);
 
-/// Adds `abcal lab sign`, which needs none either.
+/// Adds `abcal lab sign`, which needs no register either.
 void add_lab_sign(CLI::App& parent, int& exit_code);
 
 }  // namespace abcal

@@ -74,7 +74,7 @@ void print_chart(const ShownChart& chart, bool json) {
   }
 }
 
-/// Average and sums begin anew with the first point after a block was lifted.
+/// Whether the next point restarts average and sums: it is the first after a block was lifted.
 bool begins_anew(const ShownChart& chart) {
   if (chart.points.empty() || chart.blocks.empty() || chart.blocked()) return false;
   return chart.points.back().outside;

@@ -96,7 +96,8 @@ std::size_t import_scope(lab::Register& opened, const lab::LoggedIn& by, const L
   return added;
 }
 
-/// What a laboratory file names and the register does not know yet. @return how many records were added
+/// Adds the persons, equipment and scope of a laboratory file that the register does not have yet.
+/// @return the number of records added
 std::size_t import_file(lab::Register& opened, const lab::LoggedIn& by, const LaboratoryFile& file,
                         Clock::UtcTime now) {
   std::size_t added = 0;

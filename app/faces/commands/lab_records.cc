@@ -250,7 +250,7 @@ bool names(const std::string& text, const std::string& serial_number) {
   return false;
 }
 
-/// What the register knows of an item: its record, its certificates, its charts and their runs.
+/// The history of an item in the register: its record, its certificates, its charts and their runs.
 nlohmann::ordered_json history_of(lab::Register& opened, const std::string& serial_number) {
   const nlohmann::ordered_json tables = nlohmann::ordered_json::parse(opened.export_json())["tables"];
   nlohmann::ordered_json history = nlohmann::ordered_json::object();

@@ -177,7 +177,7 @@ std::string one_line(const std::string& description) {
   return line;
 }
 
-// Quoting for scripts: all of it inside single quotes.
+// Quoting for scripts: the whole text in single quotes.
 std::string shell_word(const std::string& text) {
   std::string out = "'";
   for (const char c : text) out += c == '\'' ? std::string("'\\''") : std::string(1, c);

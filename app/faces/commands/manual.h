@@ -7,7 +7,7 @@
 namespace abcal {
 
 /// Manual pages (troff, section 1) from the command line's own tree: "abcal.1" and one for each command,
-/// "abcal-run.1". What is hidden from --help is hidden here.
+/// "abcal-run.1". Options hidden from --help are omitted.
 /// @param version  "abcal 1.0.0"
 /// @param date     for the pages' foot; empty: none
 std::map<std::string, std::string> manual_pages(const CLI::App& app, const std::string& version,

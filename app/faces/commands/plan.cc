@@ -22,7 +22,7 @@
 namespace abcal {
 namespace {
 
-/// What `abcal plan` shows.
+/// The plan as `abcal plan` shows it.
 struct ShownPlan {
   std::vector<PlannedAngle> angles;
   PlanDuration duration;
@@ -31,7 +31,7 @@ struct ShownPlan {
   bool travel_assumed = false;
 };
 
-/// Of several items: the slowest, which decides how long a dwell lasts.
+/// Output rate of the slowest item in Hz; it determines the duration of a dwell.
 double slowest_rate_hz(const BenchConfig& config) {
   double slowest = config.items.front().accelerometer.settings.rate_hz;
   for (const BenchItemConfig& item : config.items)
@@ -51,7 +51,7 @@ ShownPlan make_shown_plan(const BenchConfig& config) {
   return plan;
 }
 
-/// What a person has to know of the plan, each in one sentence without its full stop.
+/// Notes on the plan for the operator, each one sentence without its full stop.
 std::vector<std::string> plan_notes(const ShownPlan& plan, const BenchConfig& config) {
   const Tolerances& tolerances = config.items.front().tolerances;
   std::vector<std::string> notes = uncovered_effects_words(tolerances);

@@ -112,7 +112,7 @@ nlohmann::ordered_json prediction_json(const PlanPrediction& plan, const WantedV
           {"outputs", outputs}};
 }
 
-/// What is wanted of a bench with its noise.
+/// The wanted uncertainties, and the bench with its noise.
 struct PlanQuestion {
   WantedValues wanted;
   std::optional<double> within_s;  ///< Nothing: the shortest plan is asked for.

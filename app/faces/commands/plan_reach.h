@@ -8,11 +8,11 @@
 
 namespace abcal {
 
-/// What `--reach` and `--time` of `abcal plan` and `abcal temperature` are asked.
+/// Options of the search for a plan (`--reach`, `--time`) in `abcal plan` and `abcal temperature`.
 struct ReachOptions {
   std::string bench_file;
   std::string reach;  ///< "phi=1e-3 deg, s=2e-5"; empty: the paper's uncertainties, as a scale for --time.
-  std::string time;   ///< "10min"; empty: the shortest plan that reaches what is wanted.
+  std::string time;   ///< "10min"; empty: the shortest plan that reaches the wanted uncertainties.
   std::string
       noise;  ///< Standard deviation of one reading in g_loc, or a run or CSV; empty: of [simulation].
   std::string estimator;  ///< Empty: that of the bench file.
@@ -25,12 +25,12 @@ struct ReachOptions {
   bool has_details() const { return !noise.empty() || !estimator.empty() || !plot.empty() || write; }
 };
 
-/// --reach, --time and --noise.
+/// Adds --reach, --time and --noise.
 void add_question_options(CLI::App& command, ReachOptions& options);
-/// These and what else goes with them.
+/// Adds the question options, --estimator, --plot and --write.
 void add_reach_options(CLI::App& command, ReachOptions& options);
 
-/// What --reach, --time and --noise ask, in one line: "reach s=1e-5, noise 1e-4". Empty: nothing.
+/// The given --reach, --time and --noise in one line: "reach s=1e-5, noise 1e-4". Empty: none given.
 std::string question_words(const ReachOptions& options);
 
 /// The plan that they ask for.
@@ -40,7 +40,7 @@ PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config)
 
 /// Finds the plan and prints it.
 /// @param bench  without its noise
-/// @return the exit code of the program: 1 where what is wanted cannot be reached
+/// @return the exit code of the program: 1 if the wanted uncertainties cannot be reached
 int run_reach(const ReachOptions& options, PlanningBench bench);
 
 }  // namespace abcal

@@ -73,7 +73,7 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   return unchanged && current_certificate(data.path, data.item);
 }
 
-/// What makes the pages: the HTML page, once, and the printer, if a PDF is requested.
+/// Makers of the pages: the HTML page, made once, and the printer, if a PDF is requested.
 struct PageMakers {
   std::function<const HtmlPage&()> page;
   PdfPrinter* printer = nullptr;

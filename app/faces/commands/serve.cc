@@ -31,7 +31,7 @@
 namespace abcal {
 namespace {
 
-/// What `abcal serve` was started with.
+/// Options of `abcal serve`.
 struct ServeOptions {
   console::ServerOptions server;
   console::Session::Options bench;
@@ -45,7 +45,7 @@ std::string known_address(const std::string& option, const std::string& text) {
       "{} {}: this is not an address; required: for example 127.0.0.1, 0.0.0.0 or ::1", option, text));
 }
 
-/// Who may use the console. @return whether a token was made here and must be shown.
+/// Sets the access rules of the console. @return whether a token was made here and must be shown.
 bool choose_access(ServeOptions& options) {
   console::ServerOptions& server = options.server;
   const bool loopback =
@@ -66,7 +66,7 @@ bool choose_access(ServeOptions& options) {
   return true;
 }
 
-/// A certificate for every address but those of this computer alone.
+/// Sets the TLS certificate, which every address except the loopback requires.
 void choose_tls(ServeOptions& options) {
   console::ServerOptions& server = options.server;
   if (options.tls_certificate.empty() != options.tls_key.empty())
@@ -88,7 +88,7 @@ void choose_tls(ServeOptions& options) {
   server.tls = console::own_tls_identity(folder, names, RealClock().utc_now());
 }
 
-/// Who may use it, in words.
+/// A sentence that names the persons with access to the console.
 std::string who_may(const console::ServerOptions& server) {
   const bool token = !server.access.token.empty();
   if (!server.register_location.empty())
@@ -125,8 +125,8 @@ void add_bench_options(CLI::App& command, console::Session::Options& bench) {
       ->capture_default_str();
 }
 
-/// Ctrl-C is a person who ends it all. A closed terminal or a service that is stopped is none: what is in
-/// progress at the bench goes on.
+/// Ctrl-C is a person's request to end everything. After a closed terminal or a stopped service, activity at
+/// the bench continues.
 bool leaves_bench() {
   return last_interrupt_signal() != SIGINT;
 }

@@ -143,7 +143,7 @@ int run_joint_study(const SimulateOptions& options) {
   return simulate_joint(study, options.json);
 }
 
-/// What the command line asks of one of the paper's sets.
+/// The options of one of the paper's sets, from the command line.
 SimulationOptions simulation_of(const SimulateOptions& options) {
   SimulationOptions simulation;
   if (options.trials) simulation.trials = not_negative("--trials", *options.trials);

@@ -40,8 +40,8 @@ struct TemperatureOptions {
   ReachOptions plan;
 };
 
-/// "BENCH" in the folder of the call, or what -o names, without an ending: the same each time, so that a
-/// series that ended early goes on.
+/// "BENCH-temperature" in the working folder, or the path of -o without its ending: the same in each call, so
+/// that a series that ended early is continued.
 std::filesystem::path stem_of(const TemperatureOptions& options) {
   std::filesystem::path stem =
       options.output.empty() ? std::filesystem::path(options.bench_file).stem().string() + "-temperature"
@@ -56,8 +56,8 @@ struct PlannedSeries {
   std::string plan_words;  ///< As TemperatureSeries::Request has them.
 };
 
-/// Finds the plan that was asked for. A series that goes on has that of its first point, and is not asked
-/// again.
+/// Finds the requested plan. A series that is continued keeps the plan of its first point, without a new
+/// search.
 PlannedSeries with_plan(const TemperatureOptions& options, BenchConfig config) {
   PlannedSeries series{std::move(config), question_words(options.plan)};
   ProtocolConfig& protocol = series.config.protocol;
@@ -111,7 +111,7 @@ std::vector<std::filesystem::path> measure(const TemperatureOptions& options, co
   }
 }
 
-/// Of the item that is asked for, or of all items.
+/// One report for the requested item, or one for each item.
 std::vector<TemperatureReport> reports_of(const TemperatureOptions& options,
                                           const std::vector<std::filesystem::path>& paths) {
   std::vector<TemperatureReport> reports;

@@ -12,11 +12,11 @@
 namespace abcal {
 
 /// Shows the events of a session to a person at the terminal: a progress bar, and lines on standard error for
-/// what should be known.
+/// noteworthy events.
 class TerminalListener {
  public:
   struct Options {
-    std::string title;                ///< Of the progress bar: "Calibrating".
+    std::string title;                ///< Title of the progress bar: "Calibrating".
     bool introduce = true;            ///< Print instruments, plan and duration when a run begins.
     bool tell_what_is_kept = true;    ///< When a run ends early: how many angles are kept, and where.
     bool tell_how_to_resume = false;  ///< ... and the command that continues it.
@@ -45,7 +45,7 @@ class TerminalListener {
   void show(const ReplayComparedEvent& event);
   void show(const AllMeasuredEvent&) { finish(); }
   void show(const FinishedEvent& event);
-  /// Others are shown by the phase.
+  /// Other events print nothing: the phase shows them.
   template <class Event>
   void show(const Event&) {}
   void line(const std::string& text);

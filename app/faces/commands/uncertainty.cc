@@ -27,7 +27,7 @@ struct Measured {
 };
 
 Measured measured(const nlohmann::json& quantity) {
-  // A step that was not measured is null: nothing is known of it but that the joint fit left it out.
+  // A step that was not measured is null: the joint fit left it out.
   if (quantity.at("value").is_null()) return {};
   return {quantity.at("value").get<double>(), quantity.at("standard_uncertainty").get<double>()};
 }

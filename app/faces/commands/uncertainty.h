@@ -18,7 +18,7 @@ struct StudyProcesses {
   std::function<void(MonteCarloTeam*, const char* why, int exit_code)> abandon;
 };
 
-/// Of `abcal`, which is one process: under mpirun, where every process would do and print the whole study,
+/// Processes of `abcal`: always one. Under mpirun, where every process would run and print the whole study,
 /// `join` throws std::runtime_error and names `abcal-mpi`.
 StudyProcesses one_process();
 
@@ -30,7 +30,7 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
 /// --estimator joint
 /// --json`): alignment, initial_turn_error, mean_step_error and step_error, each with value and
 /// standard_uncertainty.
-/// @throws std::invalid_argument saying what is wrong with the file
+/// @throws std::invalid_argument naming the problem of the file
 MeasuredAcs read_measured_acs(const std::filesystem::path& path);
 
 }  // namespace abcal

@@ -43,7 +43,7 @@ Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
   return trust;
 }
 
-/// What --require asks for and the run does not have.
+/// Adds a failed check for each requirement of --require that the run does not meet.
 void add_required(const VerifyOptions& options, const Trust& trust, const Attestation& attestation,
                   std::vector<IntegrityCheck>& checks) {
   if (options.demands("signed") && !attestation.is_signed)
@@ -61,7 +61,7 @@ void add_required(const VerifyOptions& options, const Trust& trust, const Attest
                             "requires"});
 }
 
-/// What the register says of the run's certificates.
+/// Compares the run's certificates with the register, and adds the register's own checks.
 void compare_with_register(const VerifyOptions& options, lab::Register& opened,
                            std::vector<IntegrityCheck>& checks) {
   std::vector<lab::KeptCertificate> kept;

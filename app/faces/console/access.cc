@@ -31,7 +31,7 @@ bool host_is_ours(const AccessRules& rules, const Caller& caller) {
 
 bool origin_is_ours(const Caller& caller) {
   if (caller.origin.empty()) return true;  // Not a browser, or a page that the person opened.
-  // The host is known to be ours: only our own pages have it as their origin. https: behind a proxy.
+  // The host is known to be ours: only our own pages have it as origin. TLS may end at a proxy.
   const auto is = [&](const std::string& origin) { return boost::algorithm::iequals(caller.origin, origin); };
   return is(fmt::format("http://{}", caller.host)) || is(fmt::format("https://{}", caller.host));
 }
@@ -59,7 +59,7 @@ std::string_view bearer_of(std::string_view authorization) {
 }
 
 bool same_secret(std::string_view given, std::string_view secret) {
-  // Hashed first, so that neither content nor length of the secret shows in the time.
+  // Hashed first, so that the time reveals neither content nor length of the secret.
   const auto a = digest(given), b = digest(secret);
   return CRYPTO_memcmp(a.data(), b.data(), a.size()) == 0;
 }

@@ -17,12 +17,12 @@ namespace {
 
 namespace http = boost::beast::http;
 
-/// The memory for products of runs that may be asked for again: some hundred results, some PDFs.
+/// Memory for products of runs that may be requested again, in bytes: some hundred results, some PDFs.
 constexpr std::size_t kMostKept = 16 * 1024 * 1024;
-/// As many analyses at a time; two processors are the least on which a bench is run.
+/// Number of analyses at a time; a bench runs on two processors at least.
 constexpr std::size_t kAnalysts = 2;
 
-/// The number of an item; nothing: it is none.
+/// The number of an item; nothing: the text is no such number.
 std::optional<int> item_of(const std::string& text) {
   int item = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), item);
@@ -48,7 +48,7 @@ Answers::Answers(ServerCommon& common, Logins& logins, const Session::Options& b
 
 Answers::~Answers() {
   for (Workshop* workshop : {&lists_, &analyses_, &prints_}) workshop->close();
-  seal_.join();  // A certificate that was begun is issued.
+  seal_.join();  // A certificate in progress is still issued.
 }
 
 HttpResponse Answers::refuse(const Asked& asked, http::status status, const std::string& why) {
@@ -92,12 +92,12 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
     later.head = head_of(request);
     return {};
   }
-  later = {};  // Of what was not found nothing is made.
+  later = {};  // An unknown path orders nothing.
   return refuse(asked, http::status::not_found, "There is no such page.");
 }
 
-/// GET /start-form?steps=...&serial_number=...: what would be started. @return false: the fields cannot be
-/// read
+/// GET /start-form?steps=...&serial_number=...: the run that would be started. @return false: the fields
+/// cannot be read
 bool Answers::order_start_form(const Asked& asked, Slow& later) {
   const std::string_view target = view(asked.request.target());
   const std::size_t query = target.find('?');
@@ -121,7 +121,7 @@ Workshop::Make Answers::kept(const std::string& what, std::vector<std::filesyste
     if (!key.empty())
       if (std::shared_ptr<const Product> known = products_.find(key)) return known;
     auto product = std::make_shared<const Product>(make(cancelled));
-    // Of files that have not changed meanwhile.
+    // Kept only if the files have not changed meanwhile.
     if (!key.empty() && products_.key_of(what, files) == key) products_.keep(key, product);
     return product;
   };
@@ -172,7 +172,7 @@ std::optional<ItemOfRun> Answers::find_item(const std::vector<std::string>& word
   return find_item(words[1], of_item ? words[3] : "");
 }
 
-/// What is made of a run, of one of its items; item 0 is the first that was not left out.
+/// Orders a product of one item of a run; item 0 is the first that was not left out.
 bool Answers::order_of_run(const ItemOfRun& of, const std::string& what, Slow& later) {
   const std::vector<std::filesystem::path> files{of.run, ResultsFile::path_beside(of.run)};
   const std::string of_item = fmt::format(", item {}", of.item);

@@ -36,15 +36,15 @@ class Answers {
 
  private:
   HttpResponse refuse(const Asked& asked, boost::beast::http::status status, const std::string& why);
-  /// A run, and which of its items, as a form or a path names them: item "" is 0, of a run that has one.
+  /// A run and one of its items, as named by a form or a path. Item "" gives 0: the run has one item.
   std::optional<ItemOfRun> find_item(const std::string& run, const std::string& item) const;
-  /// Of /runs/NAME/WHAT and /runs/NAME/items/K/WHAT. Nothing for other paths, and where there is no such run.
+  /// The item in /runs/NAME/WHAT or /runs/NAME/items/K/WHAT. Nothing for other paths and unknown runs.
   std::optional<ItemOfRun> find_item(const std::vector<std::string>& words) const;
   /// Orders a product of runs. False for other paths.
   bool order_of_library(const std::vector<std::string>& words, Slow& later);
   bool order_of_run(const ItemOfRun& of, const std::string& what, Slow& later);
   bool order_start_form(const Asked& asked, Slow& later);
-  /// A product of files, which is kept.
+  /// A maker of a product of these files. The product is cached for the next request.
   Workshop::Make kept(const std::string& what, std::vector<std::filesystem::path> files,
                       std::function<Product(const std::stop_token&)> make);
   HttpResponse approve_certificate(const Asked& asked, Slow& later);
@@ -60,7 +60,7 @@ class Answers {
   Logins& logins_;
   const std::filesystem::path bench_file_, runs_;
   RunLibrary library_;
-  SignatureDesk signatures_;          ///< For the thread of `seal_`.
+  SignatureDesk signatures_;          ///< Used in the thread of `seal_` only.
   boost::asio::thread_pool seal_{1};  ///< Issues certificates, one after another.
   ProductCache products_;
   Workshop lists_, analyses_, prints_;

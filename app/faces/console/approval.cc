@@ -29,7 +29,7 @@ ApprovalJson certificates_of(const ItemOfRun& of) {
   return list;
 }
 
-/// Why an item of a run has no certificate; empty: it can have one.
+/// Why an item of a run cannot have a certificate; empty: it can.
 std::string why_not_item(int item, const StoredRun& stored) {
   const std::size_t count = stored.items.size();
   if (item == 0 && count > 1)
@@ -43,7 +43,7 @@ std::string why_not_item(int item, const StoredRun& stored) {
   return {};
 }
 
-/// Why nothing can be issued on this page, for everybody; empty: it can.
+/// Why nobody can have a certificate issued on this page; empty: it is possible.
 std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const ApprovalPlace& place) {
   if (place.register_location.empty())
     return "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.";
@@ -55,7 +55,7 @@ std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const App
   return why_not_item(of.item, stored);
 }
 
-/// Logged in for one approval, and out again.
+/// An approver, logged in for one approval.
 class Approver {
  public:
   Approver(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now)
@@ -64,7 +64,7 @@ class Approver {
     try {
       login_ = opened_.log_in(form.approver, form.password, now, kForOneApproval);
     } catch (const lab::RegisterError& refused) {
-      (void)opened_.find_person({});  // A register that is lost throws here.
+      (void)opened_.find_person({});  // Throws if the register is lost.
       throw LoginRefused(refused.what());
     }
   }
@@ -74,7 +74,7 @@ class Approver {
     try {
       opened_.log_out(login_, now_);
     } catch (const std::exception&) {
-      return;  // It ends by itself.
+      return;  // The login expires by itself.
     }
   }
   lab::LoggedIn who() { return opened_.who(login_, now_); }

@@ -11,47 +11,47 @@
 
 namespace abcal::console {
 
-/// Where certificates come from.
+/// The register and the laboratory file that certificates are issued from.
 struct ApprovalPlace {
   std::string register_location;          ///< Empty: there is none.
   std::filesystem::path laboratory_file;  ///< Empty: none was given.
 };
 
-/// What a person fills in to approve a certificate.
+/// The form that a person fills in to approve a certificate.
 struct ApprovalForm {
-  ItemOfRun of;                    ///< Item 0: the run has one.
-  std::string run_sha256;          ///< Of the run that the person looked at.
-  std::string approver, password;  ///< As they log in.
-  std::string replaces, reason;    ///< Empty: it replaces none.
+  ItemOfRun of;                    ///< Item 0: the run has one item.
+  std::string run_sha256;          ///< SHA-256 of the run that the person saw.
+  std::string approver, password;  ///< As used to log in.
+  std::string replaces, reason;    ///< Number of the replaced certificate, and why; empty: none.
 };
 
-/// The run has changed since, or another certificate was issued meanwhile. what() says so.
+/// The run has changed since the form was opened, or another certificate was issued; what() says which.
 class StaleApproval : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// What stands before the approval of an item of a run: the hash of the run, who measured it, the
-/// certificates of the item, and why none can be issued here ("why_not"), and the keys of whoever looks.
-/// Reads the run and opens the register.
-/// @param of  item 0: the run has one
+/// The data shown before an item of a run is approved: the hash of the run, its operators, the certificates
+/// of the item, why none can be issued here ("why_not"), and the keys of the visitor. Reads the run and
+/// opens the register.
+/// @param of  item 0: the run has one item
 nlohmann::ordered_json approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
                                      Clock::UtcTime now);
 
-/// Refuses what nobody can approve here, and what is older than the run or its last certificate.
+/// Refuses a form that nobody can approve here, or that is older than the run or its last certificate.
 /// @return the run
 /// @throws StaleApproval, std::invalid_argument, RunFileError
 StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place);
 
-/// What issue_run() is asked for by a form.
+/// The request to issue_run() that a form makes.
 IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place);
 
-/// A certificate that was issued, for pages.
+/// An issued certificate as JSON for pages.
 nlohmann::ordered_json issued_json(const IssueOutcome& outcome, const std::string& approver, bool training);
 
 /// Approves and issues, as `abcal issue` does. The approver proves with their password who they are.
 /// @return the certificate, for pages
-/// @throws LoginRefused (name or password), StaleApproval, what issue_run() throws
+/// @throws LoginRefused (name or password), StaleApproval, and the exceptions of issue_run()
 nlohmann::ordered_json approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now);
 
 }  // namespace abcal::console

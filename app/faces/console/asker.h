@@ -6,11 +6,11 @@
 
 namespace abcal::console {
 
-/// Who asks for something at the bench.
+/// The page and the person that request something at the bench.
 struct Asker {
   std::string page;   ///< "page 3 at 127.0.0.1:50000"
   RunOperator who;    ///< The person of the register who is logged in there; no name: nobody is.
-  std::string login;  ///< What proves it to the register.
+  std::string login;  ///< Secret by which the register knows the person.
 
   /// For people: "Operator N. N., page 3 at 127.0.0.1:50000".
   std::string for_people() const { return who.name.empty() ? page : who.name + ", " + page; }

@@ -15,7 +15,7 @@
 namespace abcal::console {
 namespace {
 
-/// A snapshot of a run of 3 x 360 angles has half a megabyte.
+/// Longest line, in bytes. A snapshot of a run of 3 x 360 angles has half a megabyte.
 constexpr std::size_t kLongestLine = 64 * 1024 * 1024;
 
 }  // namespace
@@ -77,7 +77,7 @@ void BenchChannel::write() {
                              self->queue_.pop_front();
                              if (error) {
                                self->queue_.clear();
-                               return;  // The reader learns of it, too.
+                               return;  // The pending read fails as well, and reports the end.
                              }
                              if (!self->queue_.empty()) return self->write();
                              if (self->drained) self->drained();

@@ -12,11 +12,11 @@
 namespace abcal::console {
 
 /// The wire between a console and the process that holds its bench: lines of text over a Unix socket. The
-/// first letter of a line says what it is.
+/// first letter of a line gives its kind.
 namespace bench_line {
 // From the bench:
 constexpr char kMessage = 'M';   ///< JSON for every page.
-constexpr char kSnapshot = 'S';  ///< JSON: the whole state, which was asked for.
+constexpr char kSnapshot = 'S';  ///< JSON: the whole state, as requested.
 constexpr char kReply = 'R';     ///< JSON: {"id", "ok", "why"}
 constexpr char kEnd = 'E';       ///< JSON: {"was_on"}: the bench is at rest, and its process ends.
 // To the bench:
@@ -26,8 +26,8 @@ constexpr char kAskSnapshot = 'A';
 constexpr char kClose = 'C';  ///< Stop what is in progress, halt the stage, and end.
 }  // namespace bench_line
 
-/// The name of a Unix socket, which may be longer than the system takes: bound and connected by way of its
-/// folder.
+/// The name of a Unix socket. It may exceed the system's limit of length, as the socket is addressed through
+/// a descriptor of its folder.
 class SocketName {
  public:
   /// @throws std::runtime_error if there is no such folder
@@ -50,12 +50,13 @@ class BenchChannel : public std::enable_shared_from_this<BenchChannel> {
 
   explicit BenchChannel(Socket socket) : socket_(std::move(socket)) {}
 
-  /// Reads until the end. `line`: each line without its end; `end`: once, when the other side is gone.
+  /// Reads until the end. `line` gets each line without its newline; `end` is called once, when the other
+  /// side is gone.
   void begin(std::function<void(std::string_view line)> line, std::function<void()> end);
   void send(char kind, std::string_view json = {});
-  /// Lines that are not written yet.
+  /// Number of lines not written yet.
   std::size_t waiting() const { return queue_.size(); }
-  /// Called each time that the last of them is written.
+  /// Called each time that the last waiting line has been written.
   std::function<void()> drained;
   void close();
 

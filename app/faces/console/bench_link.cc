@@ -83,7 +83,7 @@ void BenchLink::connect() {
 
 void BenchLink::start_process() {
   try {
-    // It may be started in another folder.
+    // The process may have another working folder.
     const auto absolute = [](const std::filesystem::path& path) {
       return std::filesystem::absolute(path).string();
     };
@@ -140,12 +140,12 @@ void BenchLink::lost() {
   try_again(kRetry);
 }
 
-/// Each second: whether the other end still says something.
+/// Checks each second whether the other end is still heard.
 void BenchLink::watch() {
   next_watch_.expires_after(kWatchInterval);
   next_watch_.async_wait([this](boost::system::error_code cancelled) {
     if (cancelled) return;
-    // One that was started here and has ended leaves nothing behind.
+    // Collects a process that was started here and has ended: it leaves no zombie.
     if (process_ > 0 && ::waitpid(process_, nullptr, WNOHANG) != 0) process_ = -1;
     if (channel_ && state_ == BenchState::kOn && clock_.now() - heard_ > kSilentBench)
       notify(BenchState::kSilent,

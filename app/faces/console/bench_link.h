@@ -20,7 +20,7 @@
 
 namespace abcal::console {
 
-/// What a console knows of the process that holds its bench.
+/// The state of the process that holds the bench, as known to the console.
 enum class BenchState {
   kStarting,  ///< Not found yet; it is being started.
   kOn,
@@ -29,13 +29,13 @@ enum class BenchState {
 };
 std::string_view to_string(BenchState state);
 
-/// A console's end of the process that holds the bench (BenchService): finds it or starts it, and again when
-/// it has died. For the thread of `io`.
+/// A console's connection to the process that holds the bench (BenchService). Finds or starts the process,
+/// and again after it has died. For the thread of `io`.
 class BenchLink {
  public:
   struct Listener {
     std::function<void(std::string_view json)> message;   ///< For every page.
-    std::function<void(std::string_view json)> snapshot;  ///< One that was asked for.
+    std::function<void(std::string_view json)> snapshot;  ///< A requested snapshot.
     std::function<void(const nlohmann::json& reply)> reply;
     std::function<void(BenchState state, const std::string& words)> state;
     std::function<void(bool was_on)> end;  ///< The bench was closed.
@@ -52,11 +52,11 @@ class BenchLink {
   bool is_on() const { return channel_ != nullptr; }
   void ask_snapshot();
   void request(std::uint64_t id, const Asker& by, const Request& request);
-  /// Tells who steers from now on.
+  /// Tells the process who steers from now on.
   void control_taken(const Asker& by);
-  /// Stops what is in progress, halts the stage and ends the process. @return false: there is none
+  /// Stops the current activity, halts the stage and ends the process. @return false: there is no process
   bool close_bench();
-  /// Lets it go on alone.
+  /// Disconnects; the process goes on alone.
   void leave();
 
  private:
@@ -80,7 +80,7 @@ class BenchLink {
   BenchState state_ = BenchState::kStarting;
   bool started_ = false;  ///< A process was started and has not been reached yet.
   bool leaving_ = false;
-  pid_t process_ = -1;  ///< Started here.
+  pid_t process_ = -1;  ///< Process that was started here; -1: none.
 };
 
 }  // namespace abcal::console

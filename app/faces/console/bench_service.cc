@@ -48,7 +48,7 @@ std::string text_of_json(const Json& json) {
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// What BenchLink has written of a person or page. A console of before says the page only.
+/// Reads the person and page that BenchLink has written. An older console states the page only.
 Asker asker_of(const Json& json) {
   Asker by;
   by.page = json.value("by", "");
@@ -57,7 +57,7 @@ Asker asker_of(const Json& json) {
   return by;
 }
 
-/// One for each bench: the lock is held as long as this process lives, however it ends.
+/// The lock of one bench, held as long as this process lives, however it ends.
 class BenchLock {
  public:
   explicit BenchLock(const std::filesystem::path& socket) {
@@ -70,7 +70,7 @@ class BenchLock {
       ::close(descriptor_);
       throw BenchIsHeld(fmt::format("another process holds this bench already ({})", file));
     }
-    // For people who look for it.
+    // The process number, for people.
     const std::string pid = fmt::format("{}\n", ::getpid());
     if (::ftruncate(descriptor_, 0) != 0 || ::write(descriptor_, pid.data(), pid.size()) < 0) return;
   }
@@ -136,7 +136,7 @@ BenchService::Impl::Impl(Options the_options)
             {"pace", options.bench.pace}},
            clock) {
   std::error_code ignored;
-  std::filesystem::remove(options.socket, ignored);  // Of a process that was killed: ours is the lock.
+  std::filesystem::remove(options.socket, ignored);  // Left by a killed process: the lock is ours.
   const SocketName name(options.socket);
   acceptor.open();
   const mode_t before = ::umask(0177);  // For this user alone.
@@ -267,7 +267,7 @@ void BenchService::Impl::broadcast(const std::string& message) {
   }
 }
 
-/// Each second, from the process that holds the bench: who hears it knows that all between them lives.
+/// Sends a beat each second: a page that hears it knows that everything in between is alive.
 void BenchService::Impl::beat() {
   next_beat.expires_after(kBenchBeat);
   next_beat.async_wait([this](boost::system::error_code cancelled) {
@@ -288,7 +288,7 @@ void BenchService::Impl::end_if_not_needed() {
 
 void BenchService::Impl::begin_end() {
   if (std::exchange(ending, true)) return;
-  // In a thread of its own: consoles still see how it ends.
+  // In a thread of its own, so that consoles still see the end.
   ender = std::jthread([this] {
     const bool stopped = !session->stop({"the end of the program", {}, {}});
     session->close();
@@ -301,7 +301,7 @@ void BenchService::Impl::begin_end() {
   });
 }
 
-/// Ends when all is written, or soon.
+/// Ends when all lines are written, or after 1 s.
 void BenchService::Impl::finish() {
   static constexpr std::chrono::milliseconds kPollInterval{5};
   static constexpr int kMostPolls = 200;

@@ -16,18 +16,18 @@ class BenchIsHeld : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Where the process that holds a bench listens, by default: in the run folder, named after the bench file.
+/// Default socket of the process that holds a bench: in the run folder, named after the bench file.
 std::filesystem::path default_bench_socket(const Session::Options& bench);
 
 /// Holds a bench for consoles, in a process of its own: the instruments, the measuring thread, and the state
-/// that pages show. Consoles come and go over a Unix socket that only this user can reach; what is in
-/// progress goes on without any. For one bench there is one such process.
+/// that pages show. Consoles come and go over a Unix socket that only this user can reach; an activity goes
+/// on without any console. Each bench has at most one such process.
 class BenchService {
  public:
   struct Options {
     Session::Options bench;
     std::filesystem::path socket;
-    /// Ends when nothing is in progress and no console has been there for this time; zero: never by itself.
+    /// Ends when nothing is in progress and no console was connected for this time; zero: never by itself.
     std::chrono::milliseconds linger{3000};
   };
 
@@ -38,7 +38,7 @@ class BenchService {
 
   /// Serves until `stop`, until a console closes the bench, or until nobody needs it; the stage is halted
   /// then.
-  /// @return whether something was stopped so
+  /// @return whether an activity was stopped
   bool serve(const std::stop_token& stop);
 
  private:

@@ -1,4 +1,4 @@
-// The certificate of a run on the page: what was issued, and the approval by password or by key.
+// The certificates of a run on the page: those issued, and the approval by password or by key.
 #include <fmt/format.h>
 
 #include <functional>
@@ -18,7 +18,7 @@ constexpr const char* kNoSuchRun = "There is no such run, or no such item.";
 constexpr const char* kLogInAsApprover =
     "Log in on this page as the person who approves: with a key nobody approves for another.";
 
-/// The request is gone when the certificate is made.
+/// The data of a request that outlive it: the request is gone when the certificate is made.
 struct Attempt {
   Peer peer;
   HttpRequest head;
@@ -29,7 +29,7 @@ struct Attempt {
   bool wrong_password = false;
 };
 
-/// Keeps what `make` returns, or why it did not.
+/// Stores the result of `make`, or the reason of its failure.
 void carry_out_attempt(Attempt& attempt, const std::function<nlohmann::ordered_json()>& make,
                        const std::string& not_logged_in) {
   attempt.status = http::status::unprocessable_entity;
@@ -72,10 +72,10 @@ bool Answers::is_signed_certificate(const HttpRequest& request) {
   return request.method() == http::verb::post && view(request.target()).ends_with("/signed-certificate");
 }
 
-/// POST /approve: a form with `run`, of several items `item`, `run_sha256`, and `replaces` and `reason` where
-/// there is a certificate already. With `name` and `password` of who approves it is issued: the login of the
-/// page does not count, approving is done by a person who is there. With `by_key` the one that is to be
-/// signed is made for who is logged in.
+/// POST /approve: a form with `run`, `run_sha256`, `item` if the run has several, and `replaces` and `reason`
+/// if there is a certificate already. With `name` and `password` of the approver the certificate is issued;
+/// the login of the page does not count, as the approver has to be present. With `by_key` the certificate to
+/// be signed is made for the person logged in.
 HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
   if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
@@ -135,7 +135,7 @@ HttpResponse Answers::prepare_certificate(const Asked& asked, const ApprovalForm
 }
 
 /// POST /runs/NAME/signed-certificate, /runs/NAME/items/K/signed-certificate: the XML that was prepared, with
-/// the signature of who is logged in.
+/// the signature of the person logged in.
 HttpResponse Answers::take_signed_certificate(const Asked& asked, const std::vector<std::string>& words,
                                               Slow& later) {
   const auto of = find_item(words);
@@ -163,7 +163,7 @@ bool Answers::order_approval(const std::vector<std::string>& words, const Visito
   const auto of = find_item(words);
   if (!of || words.back() != "approval") return false;
   later.workshop = &analyses_;
-  later.name.clear();  // Each person sees their own.
+  later.name.clear();  // The answer depends on the person.
   later.make = [this, of = *of, visitor, place = approval_place()](const std::stop_token&) {
     return made_of_json(approval_json(of, place, visitor, common_.clock.utc_now()));
   };

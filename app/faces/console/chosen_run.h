@@ -8,14 +8,14 @@
 
 namespace abcal::console {
 
-/// A bench file with what a person chose for one run in the place of what it says.
+/// A bench file in which a person's choices for one run replace its own values.
 struct ChosenRun {
   BenchConfig config;
-  std::vector<std::string> warnings;  ///< What a person should look at before the start.
+  std::vector<std::string> warnings;  ///< To be shown to a person before the start.
 };
 
-/// What the bench file says of an item of another model (range, filter, firmware, supply, nominal
-/// sensitivity) is not taken for this one.
+/// Applies a person's choices. If they name another model, the range, filter, firmware, supply and nominal
+/// sensitivity of the bench file are dropped.
 ChosenRun choose_run(BenchConfig config, const RunChoice& choice);
 
 }  // namespace abcal::console

@@ -31,15 +31,15 @@ using asio::ip::tcp;
 constexpr std::uint32_t kLongestHeader = 8 * 1024;
 constexpr std::uint64_t kLongestBody = 1024;
 constexpr std::uint64_t kLongestCertificate = 8 * 1024 * 1024;
-/// Bytes a second at which a large answer must be taken.
+/// Lowest rate at which a client must take a large answer, in bytes per second.
 constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
-/// What the system may buffer for one page.
+/// Bytes that the system may buffer for one page.
 constexpr int kSendBuffer = 128 * 1024;
 
 Caller caller_of(const Peer& peer, const HttpRequest& request) {
   Caller caller;
-  // With two it is not known which one counts: neither does.
+  // A header that occurs twice is ambiguous: Host then counts as absent, Origin as foreign.
   if (request.count(http::field::host) == 1) caller.host = view(request[http::field::host]);
   caller.origin = request.count(http::field::origin) > 1 ? "null" : view(request[http::field::origin]);
   caller.cookie = view(request[http::field::cookie]);
@@ -50,7 +50,7 @@ Caller caller_of(const Peer& peer, const HttpRequest& request) {
   return caller;
 }
 
-/// The value of a header that stands there once; else nothing that can be relied on.
+/// The value of a header that occurs once; empty if it is absent or ambiguous.
 std::string_view only(const HttpRequest& request, std::string_view name) {
   return request.count({name.data(), name.size()}) == 1 ? view(request[{name.data(), name.size()}])
                                                         : std::string_view();
@@ -69,7 +69,7 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
  private:
   bool identify_peer();
   void read();
-  /// Of somebody who is logged in more is read than of others, for a signed certificate alone.
+  /// Only a signed certificate from a person logged in may exceed kLongestBody.
   void receive_header(beast::error_code error);
   void receive_request(beast::error_code error);
   void refuse_unreadable(beast::error_code error);
@@ -80,7 +80,7 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void admit(const Persons::Known& person);
   void carry_out(Slow slow);
   void carry_out_order(Slow slow);
-  /// Gives up the order of a client that is gone.
+  /// Cancels the order of a client that has disconnected.
   void watch_client();
   void write(HttpResponse response);
   void drain(std::size_t most);
@@ -94,7 +94,7 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   std::optional<HttpResponse> response_;
   std::optional<SilentConnections::Ticket> ticket_;
   std::shared_ptr<void> seat_;
-  Workshop::Ticket order_;  ///< The order that it waits for.
+  Workshop::Ticket order_;  ///< The order that the client waits for.
   std::optional<asio::steady_timer> client_timer_;
 };
 
@@ -108,7 +108,7 @@ HttpConnection::~HttpConnection() {
   if (ticket_) common_.silent.remove(*ticket_);
 }
 
-/// @return false: it has gone already
+/// @return false: the peer has already disconnected
 bool HttpConnection::identify_peer() {
   beast::error_code error;
   tcp::socket& socket = stream_.next_layer().socket();
@@ -153,7 +153,7 @@ void HttpConnection::begin() {
 void HttpConnection::read() {
   parser_.emplace();
   parser_->header_limit(kLongestHeader);
-  parser_->body_limit(kLongestCertificate);  // A length beyond it ends the header with an error.
+  parser_->body_limit(kLongestCertificate);  // A longer Content-Length is an error of the header.
   stream_.next_layer().expires_after(common_.options.request_time);
   http::async_read_header(
       stream_, buffer_, *parser_,
@@ -188,7 +188,7 @@ void HttpConnection::refuse_unreadable(beast::error_code error) {
 }
 
 void HttpConnection::receive_request(beast::error_code error) {
-  // Silence between two requests is no offence; a request that never ends is.
+  // Silence between two requests is not logged; a request that is never completed is.
   if (error == beast::error::timeout && (buffer_.size() > 0 || parser_->got_some()))
     common_.log_refusal(peer_, "a request",
                         fmt::format("not complete after {} s", common_.options.request_time.count()));
@@ -214,7 +214,7 @@ void HttpConnection::identify_client(const HttpRequest& request) {
   peer_.remote = client ? fmt::format("{} by {}", *client, peer_.connected) : peer_.connected;
 }
 
-/// A login that is not known here: of a console before this one, or of nobody.
+/// Asks about a login that is not known here: made by an earlier console, or invalid.
 void HttpConnection::ask_register(const std::string& login) {
   stream_.next_layer().expires_never();
   parts_.logins.look_up(login, peer_,
@@ -225,7 +225,7 @@ void HttpConnection::admit(const Persons::Known& person) {
   const HttpRequest& request = parser_->get();
   Access access = judge(common_.options.access, caller_of(peer_, request));
   Visitor visitor;
-  visitor.may_steer = !common_.options.access.persons;  // Where there are persons, the token lets watch.
+  visitor.may_steer = !common_.options.access.persons;  // With a register, the token only permits watching.
   if (person && (access == Access::kGranted || access == Access::kNoToken)) {
     access = Access::kGranted;
     visitor = *person;
@@ -259,7 +259,7 @@ void HttpConnection::carry_out(Slow slow) {
   if (slow.workshop != nullptr) return carry_out_order(std::move(slow));
   asio::post(*slow.where, [self = shared_from_this(), job = std::move(slow.job)]() mutable {
     Slow::Finish finish = job();
-    // Moved, so that this connection ends in the thread of the connections.
+    // Moved, so that this object is destroyed in the thread of the connections.
     asio::io_context& connections = self->common_.io;
     asio::post(connections,
                [self = std::move(self), finish = std::move(finish)]() mutable { self->write(finish()); });
@@ -275,7 +275,8 @@ void HttpConnection::carry_out_order(Slow slow) {
                                   self->client_timer_->cancel();
                                   HttpResponse response = respond(head, http::status(product->status),
                                                                   product->content_type, product->body);
-                                  // A report has styles of its own, which this page's policy forbids.
+                                  // A report has its own styles, which the security policy of the page
+                                  // forbids.
                                   if (product->is_file)
                                     response.set(http::field::content_disposition, "attachment");
                                   self->write(std::move(response));
@@ -352,7 +353,7 @@ void Connections::accept() {
   acceptor_.async_accept([this](beast::error_code error, tcp::socket socket) {
     if (error == asio::error::operation_aborted) return;
     if (error) {
-      // No descriptors are left, most likely: they come back.
+      // Probably no descriptors are left; some become free later.
       accept_again_.expires_after(std::chrono::milliseconds(100));
       accept_again_.async_wait([this](beast::error_code cancelled) {
         if (!cancelled) accept();

@@ -26,7 +26,7 @@ struct ServerParts {
 class Connections {
  public:
   /// Listens; uses no part of the server but `common` before accept().
-  /// @throws std::runtime_error if the port of the options cannot be had
+  /// @throws std::runtime_error if the console cannot listen on the port of the options
   explicit Connections(const ServerParts& parts);
 
   /// Accepts connections from now on.

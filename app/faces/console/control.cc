@@ -16,7 +16,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// After this time without an answer to a beat nothing is known of the other end.
+/// A page that sends nothing for this time is reported as silent.
 constexpr std::chrono::seconds kSilent{3};
 
 SharedText shared(std::string text) {
@@ -112,7 +112,7 @@ bool Control::end(bool leave_running) {
     const bool waits = !leave_running && bench_->close_bench();
     if (!waits) note_end(false);
   });
-  // The longest halt that a driver waits for, twice.
+  // Twice the longest halt that a driver waits for.
   constexpr std::chrono::seconds kLongestEnd{60};
   std::future<bool> closed = bench_closed_.get_future();
   if (closed.wait_for(kLongestEnd) == std::future_status::ready) return closed.get();

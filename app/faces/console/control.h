@@ -34,7 +34,7 @@ class Control {
   void receive(Page& page, std::string_view text);
   /// The whole state, for a page that begins or has missed messages.
   void send_snapshot(Page& page);
-  /// Each second: whether the page that steers still answers the beats.
+  /// To be called each second: checks whether the page that steers still answers the beats.
   void check_beats();
 
   /// The logins of the pages that are open.
@@ -42,7 +42,7 @@ class Control {
   /// Closes the pages of persons who may not use the console any more.
   void close_pages(const std::vector<std::string>& logins);
 
-  /// From any thread: ends the bench, or leaves it alone; waits for it. @return whether something was stopped
+  /// Ends the bench, or leaves it running; waits. For any thread. @return whether an activity was stopped
   bool end(bool leave_running);
 
  private:

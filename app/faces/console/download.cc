@@ -39,14 +39,14 @@ bool is_certified(const ItemOfRun& of) {
   return current_certificate(of.run, of.item).has_value();
 }
 
-/// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
+/// The certificate as it was issued, byte for byte; a download never issues one.
 std::string certificate(const ItemOfRun& of, const std::stop_token&) {
   const auto issued = current_certificate(of.run, of.item);
   if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
   return issued->xml;
 }
 
-/// What `abcal report` shows of a run: its certificate where one was issued.
+/// The document that `abcal report` shows of a run: its certificate if one was issued.
 struct Shown {
   std::string html;
   std::string certificate_xml;  ///< Empty: there is none.

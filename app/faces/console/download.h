@@ -8,7 +8,7 @@
 
 namespace abcal::console {
 
-/// A run, and which of its items.
+/// A run and the number of one of its items.
 struct ItemOfRun {
   std::filesystem::path run;
   int item = 1;
@@ -19,12 +19,12 @@ struct Download {
   std::string name;          ///< Last part of the path, and ending of the file's name: "readings.csv".
   std::string words;         ///< "Averaged readings (CSV)"
   std::string content_type;  ///< "text/csv; charset=utf-8"
-  /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. What it throws is shown to the
-  /// person.
+  /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. The text of its exceptions is
+  /// shown to the person.
   std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
   /// Whether an item of a run has it; null: each has.
   std::function<bool(const ItemOfRun& of)> available;
-  bool is_printed = false;  ///< Takes seconds of another program.
+  bool is_printed = false;  ///< Made by another program (WeasyPrint), in seconds.
 };
 
 const std::vector<Download>& downloads();

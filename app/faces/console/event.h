@@ -31,7 +31,7 @@ struct BenchOpened {
   bool simulated_time = false;  ///< Everything is simulated, and so is the time.
 };
 
-/// An instrument failed, which ended what was in progress.
+/// An instrument failed, which ended the current activity.
 struct FaultSeen {
   std::string instrument;  ///< As it names itself in messages.
   std::string fault;       ///< to_string(Fault)
@@ -54,7 +54,7 @@ struct ItemChecked {
   ItemCheck check;
 };
 
-/// Something whose latest state is all that a page needs.
+/// A state of which a page needs the latest value only.
 struct StateSeen {
   const char* type = "";  ///< "queue", "ports", "levelling": the type of the message to the page.
   nlohmann::ordered_json contents;

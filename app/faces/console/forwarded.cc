@@ -52,11 +52,11 @@ std::optional<std::string> plain_address(std::string_view text) {
 
 std::optional<std::string> forwarded_client(const ForwardedHeaders& headers,
                                             const std::vector<std::string>& proxies) {
-  // A proxy writes one of them and may pass on what it was sent as the other.
+  // A proxy writes one header and may pass on the other as received: with both, neither can be trusted.
   if (headers.forwarded.empty() == headers.x_forwarded_for.empty()) return std::nullopt;
   const bool standard = !headers.forwarded.empty();
   std::vector<std::string> elements = split_list(standard ? headers.forwarded : headers.x_forwarded_for, ',');
-  // Each proxy appends whom it heard: the last that no proxy of ours wrote down is not to be believed.
+  // Each proxy appends its client. Addresses before the last one that is not a trusted proxy may be forged.
   std::reverse(elements.begin(), elements.end());
   std::optional<std::string> client;
   for (const std::string& element : elements) {

@@ -7,15 +7,15 @@
 
 namespace abcal::console {
 
-/// What proxies say of a request. Empty: absent.
+/// Headers in which proxies state where a request comes from. Empty: absent.
 struct ForwardedHeaders {
   std::string_view forwarded;        ///< Forwarded (RFC 7239).
   std::string_view x_forwarded_for;  ///< X-Forwarded-For.
 };
 
-/// Where a request comes from that a proxy has passed on: the last address in the header that is no proxy
-/// itself.
-/// @param proxies  addresses whose word is taken, as they were given
+/// The client whose request a proxy has passed on: the last address in the header that is not a trusted
+/// proxy.
+/// @param proxies  addresses of trusted proxies, as plain_address() writes them
 /// @return nothing if the headers say nothing that can be relied on: both are there, or one cannot be read.
 std::optional<std::string> forwarded_client(const ForwardedHeaders& headers,
                                             const std::vector<std::string>& proxies);

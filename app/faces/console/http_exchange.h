@@ -26,10 +26,10 @@ using SharedText = std::shared_ptr<const std::string>;
 /// The other end of a connection, for the log and for the rules of access.
 struct Peer {
   std::string remote;      ///< For people: "127.0.0.1:50000".
-  std::string client;      ///< "127.0.0.1": behind a proxy that of the client.
-  std::string proxy;       ///< The proxy between; empty: none that is known.
+  std::string client;      ///< "127.0.0.1"; behind a proxy, the client's address.
+  std::string proxy;       ///< Address of the trusted proxy; empty: none.
   std::string connected;   ///< "127.0.0.1:50000": the other end of the connection.
-  std::string here, port;  ///< As Caller has them.
+  std::string here, port;  ///< As in Caller.
   bool loopback = false;
   bool secure = false;  ///< TLS.
 };
@@ -43,14 +43,14 @@ struct Asked {
 };
 
 /// The part of an answer that takes time: `job` is carried out in `where`, and the function that it returns
-/// in the thread of the connections. Or an order to a workshop, which is given up if the client goes.
+/// in the thread of the connections. Or an order to a workshop, cancelled if the client disconnects.
 struct Slow {
   using Finish = std::function<HttpResponse()>;
   boost::asio::thread_pool* where = nullptr;
   std::function<Finish()> job;
 
   Workshop* workshop = nullptr;
-  std::string name;  ///< Of the order.
+  std::string name;  ///< Name of the order.
   Workshop::Make make;
   HttpRequest head;  ///< Head of the request that is answered.
 
@@ -81,7 +81,7 @@ HttpResponse refuse(RefusalLog& log, const Asked& asked, boost::beast::http::sta
                     const std::string& why);
 HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body);
 std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body);
-/// A file of the page; absent: there is none of this path.
+/// The answer with a file of the page; absent: no file has this path.
 std::optional<HttpResponse> answer_with_asset(
     const HttpRequest& request, std::string_view path,
     boost::beast::http::status status = boost::beast::http::status::ok);

@@ -33,7 +33,7 @@ std::optional<std::filesystem::path> newest_run(const std::filesystem::path& fol
   return newest;
 }
 
-/// What a person did last is stored after it: a note, who asked for the stop.
+/// The text of the last interruption. Events of persons may be stored after it: a note, a request to stop.
 std::string why_interrupted(const std::vector<RunEvent>& events) {
   const auto last = std::find_if(events.rbegin(), events.rend(), [](const RunEvent& event) {
     return event.kind == to_string(RunState::kInterrupted);

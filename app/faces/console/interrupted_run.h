@@ -11,13 +11,13 @@
 
 namespace abcal::console {
 
-/// A run that ended early and that a person may go on with.
+/// A run that ended early and that a person may resume.
 struct InterruptedRun {
   std::string file;   ///< Name in the run folder.
   std::string words;  ///< Why it ended.
   std::size_t measured = 0, planned = 0;
-  std::string angle;      ///< The first that is missing, in words; empty: all are measured.
-  std::size_t items = 1;  ///< Those that take part still.
+  std::string angle;      ///< First missing angle, in words; empty: all are measured.
+  std::size_t items = 1;  ///< Number that still takes part.
 };
 
 /// @param measured  positions in the plan
@@ -25,8 +25,8 @@ InterruptedRun describe_interrupted(std::string file, std::string words,
                                     const std::vector<PlannedAngle>& plan,
                                     const std::set<std::size_t>& measured);
 
-/// The newest run of a folder, if it is one that ended early: what a console begins with after it, or the
-/// computer, has died.
+/// The newest run of a folder, if it ended early. The console offers to resume it after a restart of the
+/// program or the computer.
 std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& folder);
 
 }  // namespace abcal::console

@@ -17,10 +17,10 @@ struct LastCheck {
   std::size_t good = 0, warnings = 0, problems = 0;
 };
 
-/// What a check found. A check that cannot be kept is no reason to fail: @return false then.
+/// Stores the outcome of a check. @return false if it cannot be stored, which is no failure of the check
 bool keep_check(const std::filesystem::path& runs, const std::filesystem::path& bench_file,
                 const LastCheck& check);
-/// Nothing: none is known.
+/// The stored check of a bench; nothing: none is known.
 std::optional<LastCheck> last_check(const std::filesystem::path& runs,
                                     const std::filesystem::path& bench_file);
 

@@ -95,7 +95,7 @@ Json flag_words() {
 /// How long a phase may last before the run gives up.
 struct TimeLimit {
   double seconds = 0.0;  ///< In the time of the bench.
-  const char* words;     ///< What happens then, or what it is beyond.
+  const char* words;     ///< Its consequence or its reference, for people.
 };
 
 std::optional<TimeLimit> limit_of(RunPhase phase, const ProtocolConfig& protocol) {
@@ -122,7 +122,7 @@ std::optional<TimeLimit> limit_of(RunPhase phase, const ProtocolConfig& protocol
   return std::nullopt;
 }
 
-/// The line of the log that an event of a session makes, if it makes one.
+/// The log line of an event of a session, if the event has one.
 struct LineOf {
   using Line = std::optional<LogLine>;
   Line operator()(const RunBeganEvent& began) const {
@@ -158,14 +158,14 @@ struct LineOf {
   static Line warning(std::string text) { return LogLine{LogLine::Grade::kWarning, std::move(text)}; }
 };
 
-/// Whether pages know it already: from the phase, the activity, or because no replay has a page.
+/// Whether an event needs no message: pages know it from the phase or the activity, and see no replay.
 bool is_known_otherwise(const SessionEvent& event) {
   return std::holds_alternative<AngleBegunEvent>(event) || std::holds_alternative<HeldEvent>(event) ||
          std::holds_alternative<ContinuedEvent>(event) || std::holds_alternative<AllMeasuredEvent>(event) ||
          std::holds_alternative<ReplayComparedEvent>(event);
 }
 
-/// What instruments report of themselves need not be UTF-8.
+/// The text of a message. Replaces bytes that are not UTF-8, which instruments may report.
 std::string text_of(const Json& message) {
   return with_visible_direction_controls(message.dump(-1, ' ', false, Json::error_handler_t::replace));
 }
@@ -198,7 +198,7 @@ std::string LiveView::apply(const Event& event, Clock::UtcTime seen) {
 }
 
 Json LiveView::on(const SessionEvent& event) {
-  // The small turn of a check is no run.
+  // The small turn of a check belongs to no run.
   const bool is_dwell = std::holds_alternative<DwellDoneEvent>(event);
   if (is_dwell && (activity_.activity != Activity::kRunning || !run_)) return nullptr;
   if (is_known_otherwise(event)) return nullptr;
@@ -211,7 +211,7 @@ Json LiveView::on(const SessionEvent& event) {
 }
 
 Json LiveView::on(const ActivitySeen& seen) {
-  // The readings begin again, and their time with them.
+  // The readings start again, and their time starts at zero.
   if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
   if (activity_.activity == Activity::kIdle && seen.activity != Activity::kIdle) {
     fault_.reset();
@@ -252,7 +252,7 @@ Json LiveView::fold(const PhaseEvent& phase) {
           {"limit_simulated", limit && bench_.simulated_time}};
 }
 
-/// @return whether the angle is new: one that is measured again takes the place of the first
+/// @return whether the angle is new; one that is measured again replaces the earlier one
 bool LiveView::store(const DwellDoneEvent& done) {
   std::vector<DwellDoneEvent>& measured = run_->measured;
   const auto at = std::ranges::lower_bound(measured, done.position, {}, &DwellDoneEvent::position);
@@ -299,8 +299,8 @@ Json LiveView::fold(const FinishedEvent& end) {
   return {{"interrupted", interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr)}};
 }
 
-/// The one-harmonic curve through the angles of an experiment that are measured so far, of the item that was
-/// measured last: the first of several may have been dropped.
+/// The one-harmonic curve through the angles of an experiment that are measured so far. It is that of the
+/// item measured last, as the first of several may have been dropped.
 Json LiveView::fit_of(int experiment) const {
   std::vector<Angle> alpha;
   std::array<std::vector<double>, 3> readings;
@@ -327,7 +327,7 @@ Json LiveView::fit_of(int experiment) const {
   return {{"experiment", experiment}, {"outputs", std::move(outputs)}};
 }
 
-/// Simulated time over real time.
+/// The ratio of simulated time to real time.
 double LiveView::pace() const {
   return run_->simulated_time ? about_.value("pace", 1.0) : 1.0;
 }
@@ -363,7 +363,7 @@ Json LiveView::on(const StageSeen& seen) {
 }
 
 Json LiveView::on(const StripSeen& seen) {
-  // The readings of this item have begun again, and their time with them.
+  // The readings of this item have started again, and their time at zero.
   if (const auto known = streams_.find(seen.item); known == streams_.end() || known->second != seen.stream)
     std::erase_if(strip_, [&](const Json& group) { return group["item"] == seen.item; });
   streams_[seen.item] = seen.stream;

@@ -17,16 +17,16 @@ namespace abcal::console {
 /// Findings of a check, for pages.
 nlohmann::ordered_json findings_json(const std::vector<Finding>& findings);
 
-/// The state that pages show of the bench, made from events. Each event becomes one message, that of a
-/// session its own JSON with what follows from it; snapshot() is all that a page needs to begin with, or to
-/// catch up. Messages are JSON (docs/console.md). Of data that grow without end only the latest are kept. For
-/// one thread.
+/// The state of the bench that pages show, made from events. Each event becomes one message; that of a
+/// session is its own JSON with members derived from it. snapshot() is all that a page needs at first, or to
+/// catch up. Messages are JSON (docs/console.md). Only the latest of unbounded data are kept. For one
+/// thread.
 class LiveView {
  public:
   /// `about` never changes: names, pace, versions. `clock` is real time, for log and time left.
   LiveView(const nlohmann::ordered_json& about, const Clock& clock);
 
-  /// A run that a person may resume, from before the first event.
+  /// Sets the run from before the first event that a person may resume.
   void offer(std::optional<InterruptedRun> run) { interrupted_ = std::move(run); }
 
   /// @param seen  when the measuring thread reported the event, in real time
@@ -70,11 +70,10 @@ class LiveView {
   const Clock& clock_;
   ActivitySeen activity_;
   BenchOpened bench_;
-  /// The run as if it began now: `measured`, in the order of the plan, and `items` are what has become of
-  /// them.
+  /// The run. `measured` (in the order of the plan) and the progress of `items` are updated with each angle.
   std::optional<RunBeganEvent> run_;
   std::optional<FinishedEvent> ended_;
-  std::optional<HaltSeen> halt_;  ///< The last of the current or last activity.
+  std::optional<HaltSeen> halt_;  ///< Last halt of the current or last activity.
   std::optional<FaultSeen> fault_;
   std::string guard_;
   std::optional<InterruptedRun> interrupted_;
@@ -82,10 +81,10 @@ class LiveView {
   Json phase_;                          ///< The message of the last phase, or null.
   std::map<std::string, Json> states_;  ///< The latest message of each type of StateSeen.
   std::array<StageSeen, 2> stage_{StageSeen{StageAxis::kX, {}, {}}, StageSeen{StageAxis::kZ, {}, {}}};
-  std::deque<Json> strip_;              ///< Of all items.
-  std::map<int, std::size_t> streams_;  ///< In the strip, by item.
+  std::deque<Json> strip_;              ///< Groups of readings of all items.
+  std::map<int, std::size_t> streams_;  ///< Stream in the strip, by item.
   std::deque<Json> log_;
-  std::optional<Clock::Instant> last_dwell_;  ///< Unless the run was held since.
+  std::optional<Clock::Instant> last_dwell_;  ///< Its end; absent if the run was held since.
   std::deque<double> dwell_intervals_s_;      ///< Real time from one angle to the next.
 };
 

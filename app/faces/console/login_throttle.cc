@@ -7,7 +7,7 @@ namespace {
 
 constexpr Clock::Duration kFirstWait = std::chrono::seconds(1);
 constexpr Clock::Duration kLongestWait = std::chrono::seconds(60);
-/// Failures are forgotten so long after the last.
+/// Time after the last failure until failures are forgotten.
 constexpr Clock::Duration kForgotten = std::chrono::minutes(15);
 constexpr std::size_t kMostCounts = 2000;
 constexpr std::size_t kLongestKey = 200;
@@ -41,7 +41,7 @@ void LoginThrottle::count(const std::string& key, Clock::Instant now) {
 
 void LoginThrottle::failed(const std::string& name, const std::string& address, Clock::Instant now) {
   std::erase_if(counts_, [&](const auto& each) { return now - each.second.last > kForgotten; });
-  // A flood of names or addresses costs no more memory; whoever failed longest ago is forgotten.
+  // Limits the memory that a flood of names or addresses takes; the oldest failures are forgotten.
   while (counts_.size() + 2 > kMostCounts)
     counts_.erase(std::min_element(counts_.begin(), counts_.end(), [](const auto& a, const auto& b) {
       return a.second.last < b.second.last;

@@ -7,23 +7,23 @@
 
 namespace abcal::console {
 
-/// Slows down those who guess passwords: after five failures each further attempt has to wait, twice as long
-/// each time, at most a minute. Counted for a person at an address, and for the address. For one thread.
+/// Slows down guessing of passwords: after five failures each further attempt has to wait, twice as long each
+/// time, at most a minute. Failures count for a person at an address, and for the address. For one thread.
 class LoginThrottle {
  public:
-  static constexpr int kFree = 5;  ///< Failures that cost nothing.
+  static constexpr int kFree = 5;  ///< Number of failures from which attempts have to wait.
 
   /// How long an attempt has to wait; zero: not at all.
   Clock::Duration wait(const std::string& name, const std::string& address, Clock::Instant now) const;
   void failed(const std::string& name, const std::string& address, Clock::Instant now);
-  /// Forgets what this person failed at this address; the address gets no new attempts by it.
+  /// Forgets the failures of this person at this address; the count of the address stays.
   void succeeded(const std::string& name, const std::string& address);
 
  private:
   struct Count {
     int failures = 0;
     Clock::Instant last{};
-    Clock::Instant next{};  ///< No attempt before.
+    Clock::Instant next{};  ///< No attempt is allowed before.
   };
   void count(const std::string& key, Clock::Instant now);
 

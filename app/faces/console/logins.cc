@@ -17,7 +17,7 @@ namespace {
 
 namespace http = boost::beast::http;
 
-/// The files that the page which asks who somebody is needs itself.
+/// Whether the login page itself needs this file.
 bool is_for_everybody(std::string_view path) {
   return path == "/login.js" || path == "/language.js" || path == "/de.js" || path == "/style.css" ||
          path == "/favicon-idle.svg";
@@ -50,7 +50,7 @@ std::string Logins::login_of(const HttpRequest& request) const {
   if (!access.persons) return {};
   std::string_view login = cookie_value(view(request[http::field::cookie]), login_cookie_);
   if (login.empty()) login = bearer_of(view(request[http::field::authorization]));
-  // A login has as many letters as random_token() makes; the token may stand there as well.
+  // A login has the length that random_token() makes; the header may also contain the access token.
   constexpr std::size_t kLogin = 64;
   if (login.size() != kLogin) return {};
   if (!access.token.empty() && same_secret(login, access.token)) return {};
@@ -72,7 +72,7 @@ void Logins::look_up(const std::string& login, const Peer& peer,
     } catch (const std::exception& error) {
       problem = error.what();
     }
-    // Moved, so that what `then` holds ends in the thread of the connections.
+    // Moved, so that the captures of `then` are destroyed in the thread of the connections.
     boost::asio::post(common_.io,
                       [this, peer, person = std::move(person), problem, then = std::move(then)]() mutable {
                         if (!person) common_.log_refusal(peer, "a login", problem);
@@ -101,7 +101,7 @@ void Logins::set_cookie(const Asked& asked, HttpResponse& response, const std::s
                               life.count(), secure ? "; Secure" : ""));
 }
 
-/// To the page, with the cookie that lets its owner in.
+/// Redirects to the page, with the cookie that grants access.
 HttpResponse Logins::greet(const Asked& asked, const std::string& cookie, const std::string& value,
                            std::chrono::seconds life) const {
   HttpResponse response = plain(asked.request, http::status::see_other, "Welcome.");
@@ -169,7 +169,7 @@ HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
     if (!attempt->problem.empty())
       return refuse(common_.log_refusal, then, http::status::service_unavailable,
                     "The register cannot be read: " + attempt->problem);
-    // Those who failed meanwhile count: many attempts at once are no way around.
+    // Failures in the meantime count, so that parallel attempts do not evade the limit.
     if (auto refusal = refuse_if_throttled(then, attempt->name)) return *std::move(refusal);
     if (!attempt->person) {
       failed(attempt->name, attempt->peer);
@@ -186,7 +186,7 @@ HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
       attempt->person =
           register_of_persons::log_in(common_.options.register_location, attempt->name, password,
                                       common_.clock.utc_now(), common_.options.login_time);
-    } catch (const LoginRefused&) {  // There is no person then.
+    } catch (const LoginRefused&) {  // No person: the attempt has failed.
     } catch (const std::exception& error) {
       attempt->problem = error.what();
     }
@@ -213,7 +213,7 @@ HttpResponse Logins::log_out(const Asked& asked) {
   return response;
 }
 
-/// These persons may not use the console any more.
+/// Ends logins: forgets them, and closes their pages.
 void Logins::end(const std::vector<std::string>& logins) {
   for (const std::string& login : logins) persons_.forget(login);
   if (!logins.empty()) ended_(logins);
@@ -236,7 +236,7 @@ void Logins::check(const std::vector<std::string>& of_pages) {
     try {
       over = register_of_persons::ended(common_.options.register_location, logins, now);
     } catch (const std::exception& lost) {
-      // A register that cannot be read ends nothing: the persons go on, and may stop the stage.
+      // A register that cannot be read ends no login: persons go on, and may stop the stage.
       print_warning(fmt::format("console: the register cannot be read: {}", lost.what()));
     }
     boost::asio::post(common_.io, [this, over] {

@@ -15,7 +15,7 @@
 
 namespace abcal::console {
 
-/// Decides who a visitor is: a person of the register by a login, or whoever has the token. Asks the register
+/// Decides who a visitor is: a person of the register by a login, or a holder of the token. Asks the register
 /// in a thread of its own. Its functions are for the thread of the connections.
 class Logins {
  public:
@@ -29,23 +29,23 @@ class Logins {
 
   /// Everybody who reaches the console may use it.
   bool is_open() const;
-  /// A proxy that nobody named has passed it on, to a console that asks nobody who they are.
+  /// Whether an undeclared proxy has passed the request on to a console that is open to everybody.
   bool is_proxied_unknown(const HttpRequest& request) const;
 
   /// The login that a request shows; empty: none.
   std::string login_of(const HttpRequest& request) const;
-  /// The person of a login, as far as it is known here; null: it is not.
+  /// The remembered person of a login; null: none.
   Persons::Known find(const std::string& login);
   /// Asks the register about a login that is not known here. @param then  called with null for nobody
   void look_up(const std::string& login, const Peer& peer, std::function<void(const Persons::Known&)> then);
 
-  /// The answer to a visitor of whom nothing is known.
+  /// The answer to a visitor who is not identified.
   HttpResponse ask_who(const Asked& asked, const std::string& path);
   /// POST /login: a form with `token`, or with `name` and `password`.
   HttpResponse log_in(const Asked& asked, Slow& later);
   /// POST /logout: ends the login, its pages and its cookies.
   HttpResponse log_out(const Asked& asked);
-  /// Each second: ends logins that have expired; each half minute also those that the register ended.
+  /// To be called each second: ends logins that have expired, and every 30 s those that the register ended.
   /// @param of_pages  the logins of the pages that are open
   void check(const std::vector<std::string>& of_pages);
 
@@ -68,8 +68,8 @@ class Logins {
   Persons persons_;
   LoginThrottle throttle_;
   Clock::Instant checked_{};          ///< When the register was last asked which logins it ended.
-  bool checks_ = false;               ///< It is being asked.
-  boost::asio::thread_pool door_{1};  ///< Asks the register.
+  bool checks_ = false;               ///< The register is being asked.
+  boost::asio::thread_pool door_{1};  ///< Thread that asks the register.
 };
 
 }  // namespace abcal::console

@@ -27,7 +27,7 @@ void Page::open(const HttpRequest& request) {
   limits.handshake_timeout = common_.options.request_time;
   limits.idle_timeout = common_.options.silent_time;
   limits.keep_alive_pings = true;
-  beast::get_lowest_layer(socket_).expires_never();  // The WebSocket has its own.
+  beast::get_lowest_layer(socket_).expires_never();  // The WebSocket has its own time limits.
   socket_.set_option(limits);
   socket_.read_message_max(kLongestRequest);
   socket_.text(true);
@@ -65,7 +65,7 @@ void Page::push(Waiting message) {
 void Page::read() {
   socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
     if (error) {
-      // One of the two: the frame states its length, or the bytes go on to the end.
+      // The stated length of the frame is too large, or its bytes exceed the buffer.
       if (error == websocket::error::message_too_big || error == websocket::error::buffer_overflow)
         self->common_.log_refusal(self->peer(), "a message",
                                   fmt::format("longer than {} bytes", kLongestRequest));

@@ -38,10 +38,10 @@ class Page : public std::enable_shared_from_this<Page> {
   const Visitor& visitor() const { return owner_.visitor; }
   Asker asker() const;
   std::int64_t number = 0;
-  Clock::Instant heard{};           ///< Its last message.
-  bool waits_for_snapshot = false;  ///< Nothing else makes sense before.
+  Clock::Instant heard{};           ///< Time of its last message.
+  bool waits_for_snapshot = false;  ///< Messages of the bench are withheld until then.
 
-  /// Takes the WebSocket up, and joins the pages that watch.
+  /// Accepts the WebSocket, and joins the pages that watch.
   void open(const HttpRequest& request);
   /// Sends an event to the page; dropped if the page is too slow.
   void send(const SharedText& message);
@@ -64,8 +64,8 @@ class Page : public std::enable_shared_from_this<Page> {
   Owner owner_;
   boost::beast::flat_buffer buffer_{kLongestRequest};
   std::deque<Waiting> queue_;
-  Waiting now_{};            ///< Being written.
-  std::size_t replies_ = 0;  ///< Not yet written.
+  Waiting now_{};            ///< Message being written.
+  std::size_t replies_ = 0;  ///< Number of replies not yet written.
   bool paused_ = false;      ///< Nothing is read until replies are sent.
   bool writing_ = false;
   bool behind_ = false;

@@ -13,7 +13,7 @@ namespace {
 /// Most logins that are remembered; beyond it the register is asked again.
 constexpr std::size_t kMostPersons = 500;
 
-/// Whether the register refuses, or is lost: then this throws what the next question throws.
+/// Reports a refusal. If the register is lost instead, the next query throws its own exception.
 [[noreturn]] void refuse(lab::Register& opened, const lab::RegisterError& error) {
   (void)opened.find_person({});
   throw LoginRefused(error.what());

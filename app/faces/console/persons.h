@@ -14,10 +14,10 @@ namespace abcal::console {
 
 /// Someone who may use the console.
 struct Visitor {
-  RunOperator who;          ///< No name: nobody said; the token or this computer's accounts let them in.
-  bool may_steer = true;    ///< Else watches, and may press Stop.
-  std::string login;        ///< Of a person: what proves it to the register.
-  std::string expires_utc;  ///< Of a person: the end of the login.
+  RunOperator who;          ///< No name: admitted by the token, or as a user of this computer.
+  bool may_steer = true;    ///< False: may only watch and press Stop.
+  std::string login;        ///< Secret of the login, for the register; empty: no person.
+  std::string expires_utc;  ///< End of the login; empty: no person.
 };
 
 /// A login that the register does not accept. what() says why.
@@ -26,15 +26,15 @@ class LoginRefused : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// The register itself: each opens it, which takes its time, and throws LoginRefused, or RegisterError where
-// it cannot be read.
+// Queries of the register. Each opens it, which takes time, and throws LoginRefused, or RegisterError if the
+// register cannot be read.
 namespace register_of_persons {
-/// Who a login is of. Steering needs the right to measure.
+/// The person of a login. Steering needs the right to measure.
 Visitor look_up(const std::string& location, const std::string& login, Clock::UtcTime now);
 Visitor log_in(const std::string& location, const std::string& name, const std::string& password,
                Clock::UtcTime now, std::chrono::minutes validity);
 void log_out(const std::string& location, const std::string& login, Clock::UtcTime now);
-/// Those of these logins that the register does not accept any more.
+/// The given logins that the register does not accept any more.
 std::vector<std::string> ended(const std::string& location, const std::vector<std::string>& logins,
                                Clock::UtcTime now);
 }  // namespace register_of_persons
@@ -52,7 +52,7 @@ class Persons {
   std::vector<std::string> logins() const;
 
  private:
-  std::map<std::string, Known> known_;  ///< By the login's SHA-256: its letters decide on no time.
+  std::map<std::string, Known> known_;  ///< By SHA-256 of the login, so that timing does not reveal it.
 };
 
 }  // namespace abcal::console

@@ -110,7 +110,7 @@ Queue::Refusal Queue::add(const RunChoice& choice, int wanted) {
   QueueEntry entry;
   entry.number = ++last_number_;
   entry.choice = choice;
-  entry.choice.bench_sha256 = entry.choice.form = "";  // Of a moment that has passed when it is started.
+  entry.choice.bench_sha256 = entry.choice.form = "";  // Outdated by the time of the start.
   entry.wanted = wanted;
   entries_.push_back(std::move(entry));
   Refusal refusal = keep();
@@ -187,7 +187,7 @@ void Queue::began(std::int64_t number, const std::string& run) {
   before_.serial_number = entry->choice.item->serial_number;
   if (check_ && check_->of == number) before_.reported = check_->check.reported;
   unchecked();
-  (void)keep();  // What cannot be kept now is told at the next change.
+  (void)keep();  // A failure to store it is reported at the next change.
 }
 
 bool Queue::ended(const std::string& run, bool complete, const std::string& words) {
@@ -204,7 +204,7 @@ bool Queue::ended(const std::string& run, bool complete, const std::string& word
   } else {
     entry.problem = words;
     entry.interrupted = run;
-    paused_ = true;  // A person looks first.
+    paused_ = true;  // A person has to look first.
     mounted_ = 0;
   }
   (void)keep();

@@ -14,27 +14,27 @@ namespace abcal::console {
 
 /// An item and a plan that wait for the bench.
 struct QueueEntry {
-  std::int64_t number = 0;        ///< Names it; never used again.
-  RunChoice choice;               ///< With an item.
-  int wanted = 1;                 ///< Runs.
+  std::int64_t number = 0;        ///< Identifies the entry; never reused.
+  RunChoice choice;               ///< Contains an item.
+  int wanted = 1;                 ///< Number of runs.
   std::vector<std::string> made;  ///< Names of the runs that are complete.
-  std::string now;                ///< Name of the run that is in progress, or "" between two.
-  std::string problem;            ///< Why the last run of it is not complete; empty: nothing.
+  std::string now;                ///< Name of the run in progress; empty: none.
+  std::string problem;            ///< Why its last run is not complete; empty: no problem.
   std::string interrupted;        ///< Name of that run, which may be resumed and then counts.
 
   bool is_done() const { return static_cast<int>(made.size()) >= wanted; }
 };
 
 /// The items and plans that a bench measures one after another. Kept on the disk at each change, so that it
-/// outlives every process; whoever reads it again finds it paused. Knows nothing of instruments: what moves
-/// is begun by a person. For one thread.
+/// outlives every process; after a restart it is paused. Knows nothing of instruments, and starts no run.
+/// For one thread.
 class Queue {
  public:
   using Refusal = std::optional<std::string>;
   static constexpr std::size_t kMostEntries = 200;
   static constexpr int kMostRuns = 100;
 
-  /// Reads what is kept in `file`. A file that cannot be read is told by problem(), and is not written over.
+  /// Reads `file`. A file that cannot be read is reported by problem(), and is not overwritten.
   explicit Queue(std::filesystem::path file);
 
   const std::string& problem() const { return problem_; }
@@ -46,34 +46,34 @@ class Queue {
   const QueueEntry* running() const;
 
   Refusal add(const RunChoice& choice, int wanted);
-  /// @param by  places towards the end; what is done or in progress stays where it is
+  /// @param by  places towards the end; entries done or in progress keep their place
   Refusal move(std::int64_t number, int by);
   Refusal remove(std::int64_t number);
-  /// One run more of it; of one that is done, as a new entry at the end.
+  /// Adds one run to an entry; if the entry is done, as a new entry at the end.
   Refusal repeat(std::int64_t number);
   Refusal pause(bool paused);
 
-  /// The item that is mounted was looked at. @param of  the entry that was to be mounted
+  /// The mounted item was checked. @param of  the entry whose item should be mounted
   void checked(std::int64_t of, ItemCheck check);
-  /// Something else was done at the bench: nobody knows any more what is mounted.
+  /// Something else was done at the bench: from now on the mounted item is unknown.
   void unchecked() {
     check_.reset();
     mounted_ = 0;
   }
   /// Why the entry cannot be started now, or nothing.
   Refusal may_start(std::int64_t number) const;
-  /// Why its item cannot be looked at now, or nothing.
+  /// Why the item of the entry cannot be checked now, or nothing.
   Refusal may_check(std::int64_t number) const;
 
   void began(std::int64_t number, const std::string& run);
-  /// A run ended. @return whether it was of the queue
+  /// A run ended. @return whether it belongs to the queue
   bool ended(const std::string& run, bool complete, const std::string& words);
-  /// What was to begin failed before it had a file.
+  /// The run of an entry failed before it had a file.
   void did_not_begin(std::int64_t number);
   /// The item of the queue that was measured last.
   const ItemBefore& before() const { return before_; }
-  /// A further run of the item that stays mounted, which a person has started before; null: none. A paused
-  /// queue has none.
+  /// The entry of the item that stays mounted, if a further run of it is wanted; null: none, or the queue is
+  /// paused.
   const QueueEntry* repeats() const;
 
   /// For pages.

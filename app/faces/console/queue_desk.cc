@@ -64,7 +64,7 @@ void QueueDesk::see(const Event& event) {
 void QueueDesk::see_activity(const ActivitySeen& seen) {
   if (seen.activity != Activity::kIdle) {
     if (own_) return;
-    queue_.unchecked();  // Whoever did something else may have changed what is mounted.
+    queue_.unchecked();  // During another activity the mounted item may have been changed.
     return notify();
   }
   if (!session_.is_idle()) return;  // Something else has begun since.

@@ -12,9 +12,9 @@
 
 namespace abcal::console {
 
-/// Brings queue and bench together: carries out what pages ask for, and follows the events of the bench. What
-/// moves between two items is begun by a person; a further run of the item that stays mounted is not asked
-/// for again, unless the queue is paused. For one thread.
+/// Connects the queue to the bench: carries out requests of pages, and follows the events of the bench. A
+/// person starts the first run of each mounted item; further runs of it start by themselves unless the queue
+/// is paused. For one thread.
 class QueueDesk {
  public:
   QueueDesk(std::filesystem::path file, Session& session, std::function<void(Event)> notify);
@@ -31,9 +31,9 @@ class QueueDesk {
   Queue queue_;
   Session& session_;
   std::function<void(Event)> notify_;
-  Asker starter_;              ///< Who started the entry that is measured.
+  Asker starter_;              ///< Who started the current entry.
   std::int64_t starting_ = 0;  ///< The entry whose run has no file yet.
-  bool own_ = false;           ///< What the bench does now was begun here.
+  bool own_ = false;           ///< The current activity was begun here.
 };
 
 }  // namespace abcal::console

@@ -17,7 +17,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// The keys of one request; each must be asked for, or finish() refuses it.
+/// The keys of one request. finish() refuses a key that was not asked for.
 class Keys {
  public:
   explicit Keys(const Json& object) : object_(object) {}
@@ -47,7 +47,7 @@ class Keys {
       throw RequestError("\"id\" is no whole number from 0 to 1000000000");
     return found->get<std::int64_t>();
   }
-  /// What a person chose for a run; its own keys are looked at there.
+  /// A person's choices for a run; parse_run_choice() checks their keys.
   RunChoice choice() {
     seen_.insert(
         {"item", "steps", "dwell_readings", "estimator", "without_missing_items", "bench_sha256", "form"});
@@ -76,15 +76,15 @@ class Keys {
   std::set<std::string, std::less<>> seen_;
 };
 
-/// The id that a request states; 0: it has none that could be one.
+/// The id that a request states; 0: no valid one.
 std::uint64_t stated_id(const Json& object) {
   const auto found = object.is_object() ? object.find("id") : object.end();
   return found != object.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
 }
 
-/// Reads JSON in which no object has one key twice: which of the two counts would be a guess.
+/// Reads JSON. Refuses an object with the same key twice, as either value could be meant.
 Json parse_unambiguous(std::string_view text) {
-  std::vector<std::set<std::string>> open;  // The keys of the objects that have begun.
+  std::vector<std::set<std::string>> open;  // The keys of each unfinished object.
   std::string twice;
   const auto note_key = [&](int /*depth*/, Json::parse_event_t event, const Json& parsed) {
     if (event == Json::parse_event_t::object_start) open.emplace_back();

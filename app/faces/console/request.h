@@ -13,15 +13,15 @@
 
 namespace abcal::console {
 
-// What a page may ask for over its WebSocket, one JSON object each (docs/console.md). Reading a request is
-// separate from carrying it out: bytes in, request out, nothing else touched.
+// Requests of a page over its WebSocket, one JSON object each (docs/console.md). Reading a request is
+// separate from carrying it out: bytes in, request out, no side effects.
 
-/// The longest request that is looked at.
+/// The longest request that is accepted, in bytes.
 constexpr std::size_t kLongestRequest = 4096;
 /// The longest note, in bytes of UTF-8.
 constexpr std::size_t kLongestNote = 1000;
 
-/// The page is there; each second, not answered.
+/// Sign of life of the page, sent each second and not answered.
 struct Beat {};
 struct TakeControl {
   bool from_another = false;  ///< Even if another page has it.
@@ -38,11 +38,11 @@ struct ContinueRun {};
 struct Stop {};
 struct ResumeRun {
   std::string run;                     ///< Name of a file in the run folder.
-  bool without_missing_items = false;  ///< Of several: those that are not there are left out.
+  bool without_missing_items = false;  ///< Missing ones of several items are left out.
 };
 struct Jog {
   StageAxis axis = StageAxis::kX;
-  Angle by;  ///< From where its encoder says it is; at most one turn.
+  Angle by;  ///< Relative to the encoder angle; at most one turn.
 };
 struct Note {
   std::string text;
@@ -50,12 +50,12 @@ struct Note {
 
 /// Measures the tilt of the Z axis and the zero of X.
 struct Level {};
-/// Asks every free port who answers; nothing moves.
+/// Asks every free port which instrument answers; nothing moves.
 struct Probe {};
 
-/// What becomes of the queue of items; nothing of it moves but QueueStart.
+/// Requests about the queue of items follow; only QueueStart moves the stage.
 struct QueueAdd {
-  RunChoice choice;  ///< With an item.
+  RunChoice choice;  ///< Contains an item.
   int runs = 1;
 };
 struct QueueMove {
@@ -71,7 +71,7 @@ struct QueueRepeat {
 struct QueuePause {
   bool paused = true;
 };
-/// The item is mounted, as a person says: looks at it.
+/// A person states that the item is mounted; it is checked.
 struct QueueMounted {
   std::int64_t entry = 0;
 };
@@ -85,7 +85,7 @@ using Command = std::variant<Beat, TakeControl, ReleaseControl, CheckBench, Star
                              Stop, ResumeRun, Jog, Note, Level, Probe, QueueCommand>;
 
 struct Request {
-  std::int64_t id = 0;  ///< Comes back with the answer.
+  std::int64_t id = 0;  ///< Returned with the reply.
   Command command;
   nlohmann::json json;  ///< As it came, for the process that holds the bench.
 };
@@ -94,19 +94,19 @@ struct Request {
 class RequestError : public std::runtime_error {
  public:
   explicit RequestError(const std::string& why, std::uint64_t id = 0) : std::runtime_error(why), id_(id) {}
-  /// The id that the request states; 0: none that could be one.
+  /// The id that the request states; 0: no valid one.
   std::uint64_t id() const { return id_; }
 
  private:
   std::uint64_t id_;
 };
 
-/// Reads one request. What moves hardware must carry "confirmed": true; a key that does not belong is
-/// refused, so that a slip of the pen never becomes a default.
+/// Reads one request. A request that moves hardware must carry "confirmed": true. An unknown key is refused,
+/// so that a misspelt key is never silently ignored.
 /// @throws RequestError
 Request parse_request(std::string_view text);
 
-/// The same for a request that is JSON already.
+/// Reads a request that is already parsed JSON.
 /// @throws RequestError
 Request read_request(nlohmann::json json);
 

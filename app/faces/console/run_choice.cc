@@ -17,7 +17,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Within the ranges of these keys of the bench file: what is chosen needs no other check.
+// Within the ranges of these keys of the bench file, so that choices need no other check.
 constexpr int kLeastSteps = 4, kMostSteps = 720;
 constexpr int kLeastReadings = 4, kMostReadings = 1'000'000;
 constexpr std::size_t kLongestForm = 100;

@@ -18,29 +18,28 @@ struct ItemChoice {
   std::string customer_number;  ///< The owner's own; empty: not stated.
 };
 
-/// What a person chose for a run; what is absent is as the bench file says.
+/// A person's choices for a run. Where absent, the values of the bench file apply.
 struct RunChoice {
   std::optional<ItemChoice> item;
   std::optional<int> steps;           ///< Angles of each experiment, over a whole turn.
-  std::optional<int> dwell_readings;  ///< At each angle.
+  std::optional<int> dwell_readings;  ///< Readings at each angle.
   std::string estimator;
-  bool without_missing_items = false;  ///< Of several items those that are not there are left out.
-  /// Of the bench file's bytes when the person looked at it; empty: whatever it says now.
+  bool without_missing_items = false;  ///< Missing ones of several items are left out.
+  /// SHA-256 of the bench file when the person saw it; empty: any content is accepted.
   std::string bench_sha256;
-  /// What tells one form from another: each starts one run at most; empty: any number.
+  /// Identifies the form, which starts one run at most; empty: no such limit.
   std::string form;
 };
 
-/// A choice that is not understood. what() says what was found and required.
 /// Reads the members "item", "steps", "dwell_readings", "estimator", "without_missing_items", "bench_sha256",
 /// "form" of an object; others are left to the caller.
-/// @throws RequestError (request.h)
+/// @throws RequestError (request.h) that states what was found and what is required
 RunChoice parse_run_choice(const nlohmann::json& object);
-/// The same of the fields of an address: "serial_number", "maker", "model", "customer_number" and the others
-/// as above. @throws RequestError
+/// Reads a choice from the fields of a URL query: "serial_number", "maker", "model", "customer_number" and
+/// the others as above. @throws RequestError
 RunChoice parse_run_choice(const std::map<std::string, std::string>& fields);
 
-/// Refuses a text that is longer than `most` bytes, has control characters, or characters that turn the
+/// Refuses a text that is longer than `most` bytes, or has control characters or characters that change the
 /// direction of writing. @throws RequestError
 void require_plain_text(const char* name, const std::string& text, std::size_t most);
 

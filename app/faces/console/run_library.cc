@@ -35,7 +35,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// Of what is kept of each run; another one is made again.
+/// Format of the stored summaries; those of another format are made again.
 constexpr int kSummaryFormat = 5;
 
 /// A file NAME.run itself: a link would lead out of the folder.
@@ -45,7 +45,7 @@ bool is_run(const std::filesystem::path& path) {
          std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored));
 }
 
-/// Of each item as the person named it; else as the accelerometer named itself.
+/// The serial number of each item as the person stated it, else as the accelerometer reported it.
 std::string serial_numbers_of(const RunHeader& header) {
   std::vector<std::string> of_items;
   for (const RunItem& item : header.items) of_items.push_back(item.serial_number);
@@ -75,7 +75,7 @@ Json items_of(const StoredRun& run) {
   return items;
 }
 
-/// The verdict of the estimator that was chosen for a run, as it was kept when the run was closed; empty: it
+/// The verdict of the estimator that was chosen for a run, as stored when the run was closed; empty: the run
 /// is not analysed, or its results cannot be read.
 std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
   std::string verdict;
@@ -92,7 +92,7 @@ std::string kept_verdict(const std::filesystem::path& path, const std::string& e
 constexpr std::array<std::string_view, 9> kCharted{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                                    "phi_wu", "O_u", "O_v", "O_w"};
 
-/// Of what json_number() wrote.
+/// Reads a number that json_number() wrote; null is NaN.
 double number_from(const Json& json) {
   return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
 }
@@ -185,7 +185,7 @@ RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)
   read_summaries();
 }
 
-/// What is kept is only a copy: what cannot be read is made again.
+/// Reads the stored summaries. They are only a copy: unreadable ones are made again from the runs.
 void RunLibrary::read_summaries() {
   std::ifstream file(folder_ / kSummaries);
   const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
@@ -206,7 +206,7 @@ void RunLibrary::read_summaries() {
       entry.closed = true;
       known_[name] = std::move(entry);
     }
-  } catch (const std::exception&) {  // of JSON, or a number that is none
+  } catch (const std::exception&) {  // JSON, or a key that is no number
     known_.clear();
   }
 }
@@ -228,7 +228,7 @@ void RunLibrary::keep_summaries() {
   try {
     OutputFile(folder_ / kSummaries).write(json.dump(-1, ' ', false, Json::error_handler_t::replace));
   } catch (const std::exception&) {
-    return;  // The next console reads the runs again: slower, and no worse.
+    return;  // The next console reads the runs again, which only takes longer.
   }
 }
 
@@ -281,7 +281,7 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
   return known;
 }
 
-/// Of a closed run, unless it is known, or its results have none.
+/// Finds the verdict of a closed run, unless it is known or the results file has not changed since.
 void RunLibrary::find_verdict(const std::string& name, Entry& known) {
   if (!known.closed || !known.summary.verdict.empty()) return;
   std::error_code ignored;
@@ -304,7 +304,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
     }
     try {
       Entry& known = entry(name);
-      // Not so where the program ended in between; resuming the run analyses it.
+      // Not if the program ended before the analysis; resuming the run analyses it.
       const bool analysed = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
       if (analysed) find_verdict(name, known);
       Json summary = to_json(name, known.summary);
@@ -314,7 +314,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
       list.push_back({{"name", name}, {"state", "unreadable"}, {"why", error.what()}});
     }
   }
-  // What was deleted is forgotten.
+  // Forgets deleted runs.
   std::vector<std::string> sorted = all;
   std::sort(sorted.begin(), sorted.end());
   std::erase_if(known_, [&](const auto& known) {
@@ -428,7 +428,7 @@ std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std
     point = {{"name", name}, {"created_utc", summary.created_utc}, {"simulated", summary.simulated}};
   }
   std::vector<Json> points;
-  std::optional<AnalysedRun> analysed;  // Once for all of its items.
+  std::optional<AnalysedRun> analysed;  // Analysed once for all items of the run.
   for (const int item : items) {
     auto found = charted.find(item);
     if (found == charted.end()) {

@@ -17,8 +17,8 @@
 namespace abcal::console {
 
 /// The runs that a console knows: files NAME.run that lie directly in one folder. A name that comes from a
-/// page is only compared with theirs, so that none can lead elsewhere. Reading and analysing take their time:
-/// not for the thread that serves the pages. Safe to use from several threads.
+/// page is only compared with theirs, so that none can lead elsewhere. Reading and analysing take time: not
+/// for the thread that serves the pages. Safe to use from several threads.
 class RunLibrary {
  public:
   /// Summaries of closed runs are kept beside them (kSummaries), so that a list of many is read quickly.
@@ -28,15 +28,15 @@ class RunLibrary {
 
   /// The file of this name, if it is one of the runs.
   std::optional<std::filesystem::path> find(const std::string& name) const { return find_in(folder_, name); }
-  /// The same of any folder, without reading what is kept of its runs.
+  /// The same for any folder, without reading its summaries.
   static std::optional<std::filesystem::path> find_in(const std::filesystem::path& folder,
                                                       const std::string& name);
 
-  // Each of these is JSON as docs/console.md describes it. A run that is being measured is read as far as it
-  // goes.
+  // Each of these is JSON as docs/console.md describes it. A run in progress is read with the data measured
+  // so far.
 
   /// All runs, newest first, with their state and progress. A file that cannot be read is listed with the
-  /// reason; one that `patience` left no time for, as "not read yet": ask again.
+  /// reason; one for which `patience` left no time, as "not read yet": ask again.
   nlohmann::ordered_json list(std::chrono::milliseconds patience = std::chrono::milliseconds(500));
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @param item  from 1; 0: the first that was not left out
@@ -66,7 +66,7 @@ class RunLibrary {
     std::string verdict;
     std::array<Value, 9> values;  ///< In the order of kCharted.
   };
-  /// What the list says of a run. Kept as it is, as JSON takes several times the memory.
+  /// The data of a run in the list. Not kept as JSON, which takes several times the memory.
   struct Summary {
     std::string state, created_utc, item, maker, model, bench, operators, unit, simulated, verdict;
     std::string items;  ///< JSON: how far each was measured.
@@ -80,7 +80,7 @@ class RunLibrary {
     bool closed = false;             ///< It will not change any more.
     std::map<int, Charted> charted;  ///< For the history, by item of the run, from 1.
     std::string estimator = {};      ///< Chosen for the run.
-    std::optional<std::filesystem::file_time_type> results_time = {};  ///< When its verdict was looked for.
+    std::optional<std::filesystem::file_time_type> results_time = {};  ///< mtime of the results last read.
   };
 
   std::vector<std::string> names() const;
@@ -91,8 +91,8 @@ class RunLibrary {
   static Charted charted_of(const CalibrationResult& result);
   static nlohmann::ordered_json to_json(const Charted& charted);
   static Charted charted_from(const nlohmann::ordered_json& kept);
-  /// A point of property number `index`; several where several items of the run have this serial number,
-  /// none where the run is not a complete one of this item. Throws RunFileError.
+  /// The points of property number `index`: one for each item of the run with this serial number, none if the
+  /// run is not complete. Throws RunFileError.
   std::vector<nlohmann::ordered_json> points_of_chart(const std::string& name,
                                                       const std::string& serial_number, std::size_t index);
   Entry& entry(const std::string& name);
@@ -103,8 +103,8 @@ class RunLibrary {
 
   std::filesystem::path folder_;
   std::mutex mutex_;
-  std::map<std::string, Entry> known_;  ///< By name; of closed runs, which are read once.
-  bool have_new_ = false;               ///< Summaries that are not kept yet.
+  std::map<std::string, Entry> known_;  ///< By name; closed runs are read once.
+  bool have_new_ = false;               ///< Some summaries are not stored yet.
 };
 
 }  // namespace abcal::console

@@ -23,7 +23,7 @@ namespace asio = boost::asio;
 
 constexpr std::chrono::seconds kBeat{1};
 
-/// Whoever may reach a console from elsewhere says who it is, and nobody listens.
+/// Beyond this computer a console requires TLS, and a token or a register.
 void require_protection(const ServerOptions& options, const asio::ip::address& address) {
   const bool open = options.access.token.empty() && options.register_location.empty();
   if (!address.is_loopback() && !options.tls)
@@ -47,7 +47,7 @@ ServerOptions protected_options(ServerOptions options) {
 
 }  // namespace
 
-/// The parts of the server, in the order in which each needs those before it, and their thread.
+/// The parts of the server, each after those that it needs first, and their thread.
 struct Server::Impl {
   Impl(ServerOptions options, Session::Options bench)
       : common(protected_options(std::move(options))),
@@ -66,7 +66,7 @@ struct Server::Impl {
     thread = {};
   }
 
-  /// Each second: whether the page that steers still answers, and which logins have ended.
+  /// Checks each second whether the page that steers still answers, and which logins have ended.
   void watch() {
     next_watch.expires_after(kBeat);
     next_watch.async_wait([this](boost::system::error_code cancelled) {
@@ -101,7 +101,7 @@ bool Server::serve(const std::stop_token& stop, const std::function<bool()>& lea
     const std::stop_callback on_stop(stop, [&stopped] { stopped.set_value(); });
     stopped.get_future().wait();
   }
-  // The pages still see how it ends.
+  // The pages still see the end.
   return impl_->control.end(!impl_->common.options.bench_socket.empty() || (leaves_bench && leaves_bench()));
 }
 

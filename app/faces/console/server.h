@@ -21,20 +21,20 @@ struct ServerOptions {
   std::string address = "127.0.0.1";
   std::uint16_t port = 8474;  ///< 0: any free one.
   AccessRules access;
-  /// Where the process that holds the bench listens, if another program starts it; empty: the console does.
+  /// Socket of the process that holds the bench, if another program starts it; empty: the console does.
   std::filesystem::path bench_socket;
-  /// Where the register is whose persons use the console; empty: none.
+  /// Location of the register whose persons use the console; empty: none.
   std::string register_location;
-  std::filesystem::path laboratory_file;    ///< Of the certificates; empty: none are issued on the page.
+  std::filesystem::path laboratory_file;    ///< For certificates; empty: the page issues none.
   std::chrono::minutes login_time{8 * 60};  ///< A working day.
   std::optional<TlsIdentity> tls;           ///< Required where others than this computer can connect.
-  /// Addresses of proxies: what they say of where a request comes from is taken as true.
+  /// Addresses of proxies that are trusted to state where a request comes from.
   std::vector<std::string> trusted_proxies;
-  SilentConnections::Limits silent;    ///< Connections that have not said who they are.
-  std::size_t most_connections = 100;  ///< Of those that have,
-  std::size_t most_of_address = 80;    ///< and of one address.
-  /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead. Replies
-  /// are never dropped: no more is read from a page that leaves as many of them waiting.
+  SilentConnections::Limits silent;    ///< Limits of connections with unidentified visitors.
+  std::size_t most_connections = 100;  ///< Limit of connections with identified visitors,
+  std::size_t most_of_address = 80;    ///< and of those from one address.
+  /// Limit of messages that wait for a slow page. Beyond it they are dropped, and it gets a snapshot instead.
+  /// Replies are never dropped: no more is read from a page while that number of them waits.
   std::size_t longest_queue = 64;
   std::chrono::seconds request_time{10};  ///< For a request to come in, and for its answer to be taken.
   std::chrono::seconds silent_time{20};   ///< A page that answers no ping for this time is gone.
@@ -42,12 +42,12 @@ struct ServerOptions {
 
 /// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers
 /// (docs/console.md). All connections live in one thread, which never waits for any of them, nor for the
-/// bench; what the bench tells is put into a bounded queue for each. The bench itself is held by a process of
-/// its own (BenchService), which is found or started, and goes on if this one dies.
+/// bench; messages of the bench go into a bounded queue for each page. The bench itself is held by a process
+/// of its own (BenchService), which is found or started, and goes on if this one dies.
 class Server {
  public:
   /// Listens from here on.
-  /// @throws std::runtime_error if the port cannot be had
+  /// @throws std::runtime_error if it cannot listen on the port
   /// @throws std::invalid_argument if others than this computer could use it without TLS, or without a person
   ///         or token
   Server(ServerOptions options, Session::Options bench);
@@ -55,9 +55,9 @@ class Server {
 
   std::uint16_t port() const;
 
-  /// Serves until `stop`. What is in progress at the bench is stopped then and its stage halted, unless
-  /// `leaves_bench` says that it goes on without a console; the process that holds the bench ends with it.
-  /// @return whether something was stopped so.
+  /// Serves until `stop`. The activity of the bench is then stopped, its stage halted and its process ended,
+  /// unless `leaves_bench` returns true or another program starts that process.
+  /// @return whether an activity was stopped
   bool serve(const std::stop_token& stop, const std::function<bool()>& leaves_bench = {});
 
  private:

@@ -20,7 +20,7 @@ class Seats {
   explicit Seats(const ServerOptions& options)
       : most_(options.most_connections), most_of_address_(options.most_of_address) {}
 
-  /// A place, until the last copy of it is gone; null: there is none. Must outlive its places.
+  /// Takes a place until the last copy of the pointer is gone; null: none is free. Must outlive its places.
   std::shared_ptr<void> take(const std::string& address) {
     if (taken_ >= most_) return nullptr;
     std::size_t& of_address = taken_of_[address];

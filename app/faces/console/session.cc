@@ -34,7 +34,7 @@ constexpr std::chrono::seconds kKeepAfterJog{60};
 constexpr const char* kBusy =
     "another activity is in progress at the bench; stop it first, or wait for its end";
 
-/// "BENCH-20260301T120000Z.run"; of a run that begins in the second of another one "BENCH-...Z-2.run".
+/// "BENCH-20260301T120000Z.run"; "BENCH-...Z-2.run" for a further run that begins within the same second.
 std::string free_name(const Session::Options& options, const std::string& extension) {
   const std::string stem = output_path("", options.bench_file.filename().string(), "").filename().string();
   std::string name = stem + extension;
@@ -87,7 +87,7 @@ void Session::work(const std::stop_token& end) {
         jog_bench_.reset();
         continue;
       }
-      // An activity that was begun is ended in order: its stop is requested already.
+      // An accepted job is still carried out, so that it ends in order; its stop is requested already.
       if (!job_) return;
       job = std::exchange(job_, nullptr);
     }
@@ -174,7 +174,7 @@ Session::Refusal Session::check_item(std::int64_t entry, const RunChoice& choice
   return begin(Activity::kChecking, [this, entry, choice, before] { do_check_item(entry, choice, before); });
 }
 
-/// Why a form starts nothing any more.
+/// Why a form cannot start a run any more; nothing: it can.
 Session::Refusal Session::stale(const RunChoice& choice) const {
   if (!choice.form.empty()) {
     const std::lock_guard lock(mutex_);
@@ -262,7 +262,7 @@ Session::Refusal Session::stop(const Asker& by) {
     if (activity_ == Activity::kAnalysing) return "the stage is at rest; the run is being analysed";
     if (stop_.stop_requested()) return std::nullopt;
     record("stop asked for", by);
-    // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
+    // In a thread of its own, as the request sends the halt to the stage and waits for its answer.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
   }
   notify_(LogLine{LogLine::Grade::kWarning,
@@ -279,7 +279,7 @@ Session::Refusal Session::note(std::string text, const Asker& by) {
 }
 
 Bench Session::open(const BenchConfig& config) {
-  jog_bench_.reset();  // Or its ports would be in the way.
+  jog_bench_.reset();  // It would keep the ports occupied.
   const Clock::UtcTime utc = RealClock().utc_now();
   Bench bench = make_bench(config, {}, std::make_unique<PacedClock>(options_.pace, utc));
   notify_(BenchOpened{config.protocol, bench.simulated_time});
@@ -291,7 +291,7 @@ Bench Session::open(const BenchConfig& config) {
 
 void Session::show(SessionEvent event) {
   if (auto* began = std::get_if<RunBeganEvent>(&event)) {
-    if (began->file.empty()) return;  // The small turn of a check.
+    if (began->file.empty()) return;  // It belongs to the small turn of a check.
     began->file = file_name(began->file);
     if (operator_.login.empty() && !began->operator_name.empty())
       began->operator_name += fmt::format(" ({})", kNotVerified);
@@ -366,7 +366,7 @@ void Session::do_level(const std::filesystem::path& run) {
 }
 
 void Session::do_probe() {
-  jog_bench_.reset();  // Its ports are asked as well.
+  jog_bench_.reset();  // Its ports are probed as well.
   const std::vector<wire::PortInfo> ports = wire::list_ports();
   const std::vector<Probed> probed = probe_ports(ports_to_ask(ports), [](const auto&, const auto&) {});
   nlohmann::ordered_json list = nlohmann::ordered_json::array();

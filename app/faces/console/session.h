@@ -21,9 +21,9 @@
 
 namespace abcal::console {
 
-/// The bench that a console steers. One thread of its own does all that touches the instruments; the
-/// functions here only tell it, and return at once: they say why something cannot be begun, or nothing. What
-/// comes of it is told by events.
+/// The bench that a console steers. One thread of its own does all that touches the instruments. The
+/// functions here only pass requests to it, and return at once: the reason of a refusal, or nothing. Events
+/// report the results.
 class Session {
  public:
   struct Options {
@@ -43,31 +43,31 @@ class Session {
   void close();
 
   Refusal check(bool with_motion, const Asker& by);
-  /// A run of this person: with a register the one who is logged in, else as the bench file states. Refused
-  /// if the form was used already, or the bench file has changed since the person looked at it.
+  /// Starts a run of this person: with a register the one logged in, else as the bench file states. Refused
+  /// if the form was used already, or the bench file has changed since the person saw it.
   Refusal start(const RunChoice& choice, const Asker& by);
-  /// Looks at the item of an entry of the queue, which a person has mounted; nothing moves.
+  /// Checks the item of an entry of the queue, which a person has mounted; nothing moves.
   Refusal check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
   Refusal resume(const ResumeRequest& request, const Asker& by);
-  /// As `abcal level`, into the run folder.
+  /// Levels as `abcal level` does; the files go into the run folder.
   Refusal level(const Asker& by);
-  /// As `abcal instruments --probe`.
+  /// Probes ports as `abcal instruments --probe` does.
   Refusal probe();
   Refusal hold(const Asker& by);
   Refusal continue_run(const Asker& by);
   Refusal jog(const Jog& jog);
-  /// Into the event log of the current run.
+  /// Adds a note to the event log of the current run.
   Refusal note(std::string text, const Asker& by);
   /// Halts the stage at once and ends the current activity.
   Refusal stop(const Asker& by);
-  /// Nothing is in progress now; an event that says otherwise may be on its way still.
+  /// Whether nothing is in progress now; an older event that says otherwise may still arrive.
   bool is_idle() const;
   /// Somebody steers from now on; the event log of the current run says so.
   void control_taken(const Asker& by);
 
  private:
   Refusal begin(Activity activity, std::function<void()> job, const Asker& by = {});
-  /// What a person does, for the event log of the current run; the mutex is held.
+  /// Records a person's action in the event log of the current run; the caller holds the mutex.
   void record(const char* kind, const Asker& by, RunOperator operates = {});
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
@@ -90,15 +90,15 @@ class Session {
 
   mutable std::mutex mutex_;
   std::condition_variable_any wake_;
-  std::function<void()> job_;  ///< To be begun.
+  std::function<void()> job_;  ///< Next job of the worker.
   Activity activity_ = Activity::kIdle;
   bool closing_ = false;
-  std::stop_source stop_;            ///< Of the current activity.
+  std::stop_source stop_;            ///< Stops the current activity.
   std::shared_ptr<RunSession> run_;  ///< Null: no run is in progress.
-  Asker operator_;                   ///< Who began it.
-  std::deque<std::string> forms_;    ///< Used already; the latest of them.
+  Asker operator_;                   ///< The person who began the run.
+  std::deque<std::string> forms_;    ///< The latest forms that have started a run.
 
-  /// Kept open between jogs; of the measuring thread alone.
+  /// The bench, kept open between jogs; used in the measuring thread only.
   struct JogBench {
     BenchConfig config;
     Bench bench;

@@ -6,7 +6,7 @@
 namespace abcal::console {
 namespace {
 
-/// Whoever prepares more lets go of the oldest: it can be prepared again. More than a full platter has.
+/// Most certificates that wait, more than a full platter has; the oldest is dropped and can be made again.
 constexpr std::size_t kMostWaiting = 40;
 
 bool is_same(const ItemOfRun& a, const ItemOfRun& b) {
@@ -21,7 +21,7 @@ Registered SignatureDesk::approver(const StoredRun& run, const Visitor& visitor,
   try {
     who = opened.who(visitor.login, now);
   } catch (const lab::RegisterError& refused) {
-    (void)opened.find_person({});  // A register that is lost throws here.
+    (void)opened.find_person({});  // Throws if the register is lost.
     throw LoginRefused(refused.what());
   }
   if (const auto why = why_not_approve(who->person(), run)) throw std::invalid_argument(*why);

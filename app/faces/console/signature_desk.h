@@ -12,18 +12,18 @@
 namespace abcal::console {
 
 /// Approval by key: the certificate is made here and signed where the approver's private key is, which never
-/// comes here. Keeps what waits for its signature; after a restart it is prepared again, with the same
-/// number. Who approves is who is logged in. For one thread.
+/// comes here. Keeps certificates that wait for their signature; after a restart they are prepared again,
+/// with the same number. The person logged in is the approver. For one thread.
 class SignatureDesk {
  public:
   explicit SignatureDesk(ApprovalPlace place) : place_(std::move(place)) {}
 
   /// Makes the certificate that is to be signed. @return its number, and its XML, for pages
-  /// @throws StaleApproval, LoginRefused, std::invalid_argument (who may not), what prepare_to_sign() throws
+  /// @throws StaleApproval, LoginRefused, std::invalid_argument (not permitted), those of prepare_to_sign()
   nlohmann::ordered_json prepare(const ApprovalForm& form, const Visitor& visitor, Clock::UtcTime now);
 
-  /// Issues it, as it was signed. @return the certificate, for pages
-  /// @throws the same; StaleApproval if none of this person waits here; what issue_signed() throws
+  /// Issues the signed certificate. @return the certificate, for pages
+  /// @throws as prepare(); StaleApproval if no certificate of this person waits; those of issue_signed()
   nlohmann::ordered_json take(const ItemOfRun& of, const std::string& signed_xml, const Visitor& visitor,
                               Clock::UtcTime now);
 
@@ -33,7 +33,7 @@ class SignatureDesk {
     std::string person;
     AwaitedSignature awaited;
   };
-  /// Opens the register as who is logged in. @throws LoginRefused, std::invalid_argument (who may not)
+  /// Opens the register as the visitor. @throws LoginRefused, std::invalid_argument (not permitted)
   Registered approver(const StoredRun& run, const Visitor& visitor, Clock::UtcTime now) const;
 
   ApprovalPlace place_;

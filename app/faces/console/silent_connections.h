@@ -7,9 +7,8 @@
 
 namespace abcal::console {
 
-/// Connections that have not said yet who they are. Where there are too many, the one that has been silent
-/// for longest gives way: of the address that has too many, so that nobody is locked out by others. For one
-/// thread.
+/// Connections whose visitor is not identified yet. If there are too many, the oldest one is ended: that of
+/// the address that has too many, so that nobody is locked out by others. For one thread.
 class SilentConnections {
  public:
   struct Limits {
@@ -20,11 +19,11 @@ class SilentConnections {
 
   explicit SilentConnections(Limits limits) : limits_(limits) {}
 
-  /// A connection has come.
+  /// Adds a new connection.
   /// @param address  empty: that of a proxy, which is not limited by itself
-  /// @param give_way  ends it; called at most once
+  /// @param give_way  ends the connection; called at most once
   Ticket add(std::string address, std::function<void()> give_way);
-  /// It has said who it is, or has ended.
+  /// The visitor is identified, or the connection has ended.
   void remove(Ticket ticket);
   std::size_t size() const { return waiting_.size(); }
 
@@ -37,10 +36,10 @@ class SilentConnections {
 
   Limits limits_;
   Ticket last_ = 0;
-  std::list<Waiting> waiting_;  ///< In the order of their coming.
+  std::list<Waiting> waiting_;  ///< Oldest first.
 };
 
-/// What counts as one address: of IPv6 the network of a subscriber, /64.
+/// The address under which a connection is counted: for IPv6 the network of a subscriber, /64.
 std::string counted_address(const std::string& address);
 
 }  // namespace abcal::console

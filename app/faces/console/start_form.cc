@@ -34,10 +34,10 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// An older check says little of the bench of today.
+/// The form warns if the last check of the bench is older.
 constexpr std::chrono::hours kCheckHolds{24};
 
-/// The item with the noise of a reading, and where it is known from.
+/// The item with the noise of a reading, and the source of that value.
 struct Noise {
   KnownItem item;
   std::string source;
@@ -190,7 +190,7 @@ class Form {
     }
   }
 
-  /// As simulated, else of an earlier run of this item, else of one of its model.
+  /// The noise of a reading: as simulated, else from an earlier run of this item, else of its model.
   std::optional<Noise> known_noise(const BenchConfig& config) {
     if (const auto noise = simulated_noise(config)) return Noise{{.noise = *noise}, "the simulation"};
     const ItemConfig& item = config.items.front().item;

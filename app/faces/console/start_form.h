@@ -11,17 +11,17 @@
 
 namespace abcal::console {
 
-/// What a person sees before a run is started.
+/// The data from which a start form is made.
 struct StartFormAsked {
   std::filesystem::path bench_file, runs;
   std::string register_location;  ///< Empty: there is none.
-  RunOperator who;                ///< Who is logged in on the page; no name: nobody.
+  RunOperator who;                ///< The person logged in on the page; no name: nobody.
   RunChoice choice;
 };
 
 /// The run that would be started: item, operator, plan, its duration and uncertainties as `abcal plan`
-/// predicts them, free disk space, the last check; `warnings`, and `problems` that refuse the start. Takes
-/// its time: it opens the register and computes predictions. Nothing moves and no port is opened.
+/// predicts them, free disk space, the last check; `warnings`, and `problems` that prevent the start. Takes
+/// time: it opens the register and computes predictions. Nothing moves and no port is opened.
 nlohmann::ordered_json start_form(const StartFormAsked& asked, RunLibrary& library, Clock::UtcTime now);
 
 }  // namespace abcal::console

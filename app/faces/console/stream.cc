@@ -55,7 +55,7 @@ void Stream::write_some(const GatheredBuffers<boost::asio::const_buffer>& buffer
 void Stream::tear_down(boost::beast::role_type role, std::function<void(boost::beast::error_code)> handler) {
   using boost::beast::websocket::async_teardown;
   if (auto* secure = std::get_if<Secure>(&layers_->all))
-    secure->async_shutdown(std::move(handler));  // As Beast does it.
+    secure->async_shutdown(std::move(handler));  // As Beast closes a WebSocket over TLS.
   else
     async_teardown(role, std::get<Plain>(layers_->all), std::move(handler));
 }

@@ -15,8 +15,8 @@
 
 namespace abcal::console {
 
-/// Up to 16 buffers, as Asio takes them: what one call reads or writes at the most. The rest follows with the
-/// next call.
+/// Up to 16 buffers in the form that Asio takes, the most that one call reads or writes. The rest follows
+/// with the next call.
 template <class Buffer>
 class GatheredBuffers {
  public:
@@ -43,27 +43,27 @@ class GatheredBuffers {
   std::size_t count_ = 0;
 };
 
-/// A connection with TLS or without, as Beast's asynchronous functions take it. What is below them is
-/// compiled once, in stream.cc: for every kind of buffers and of handler it would be half of the compiling of
-/// the console.
+/// A connection with TLS or without, as Beast's asynchronous functions take it. The layers below are compiled
+/// once, in stream.cc: for each type of buffer and handler they would take half of the console's compile
+/// time.
 class Stream {
  public:
   using Plain = boost::beast::tcp_stream;
   // Asio asks for this name. NOLINTNEXTLINE(readability-identifier-naming)
   using executor_type = Plain::executor_type;
 
-  /// @param tls  null: without
+  /// @param tls  null: no TLS
   Stream(boost::asio::ip::tcp::socket socket, boost::asio::ssl::context* tls);
   Stream(Stream&& other) noexcept;
   Stream& operator=(Stream&& other) noexcept;
   ~Stream();
 
   executor_type get_executor() { return next_layer().get_executor(); }
-  /// What is below TLS, with its time limits.
+  /// The TCP layer below TLS, with its time limits.
   Plain& next_layer();
   const Plain& next_layer() const;
 
-  /// Where there is TLS: its beginning; else calls the handler at once.
+  /// Performs the TLS handshake; without TLS calls the handler at once.
   void async_handshake(std::function<void(boost::beast::error_code)> handler);
 
   template <class Buffers, class Handler>
@@ -76,7 +76,7 @@ class Stream {
     write_some(GatheredBuffers<boost::asio::const_buffer>(buffers), copyable(std::forward<Handler>(handler)));
   }
 
-  /// The end of a WebSocket; Beast finds it by its name.
+  /// Ends a WebSocket; Beast finds this function by its name.
   template <class Handler>
   friend void async_teardown(boost::beast::role_type role, Stream& stream, Handler&& handler) {
     stream.tear_down(role, copyable(std::forward<Handler>(handler)));

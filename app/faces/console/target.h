@@ -15,17 +15,17 @@ struct Target {
 };
 
 /// A target in absolute form ("http://bench7:8080/runs", RFC 9112, section 3.2.2) in origin form ("/runs"),
-/// if its authority is what the header Host says, letter for letter but for case. Any other as it is.
+/// if its authority equals the header Host but for case. Any other target is returned unchanged.
 std::string in_origin_form(std::string_view target, std::string_view host);
 
 /// Reads a target in origin form (RFC 9112, section 3.2.1).
 /// @return nothing if it is none
 std::optional<Target> parse_target(std::string_view text);
 
-/// Reads the fields of a form (application/x-www-form-urlencoded), decoded. Of two with one name the first.
-/// @return nothing if it is none
+/// Reads the fields of a form (application/x-www-form-urlencoded), decoded. The first of two with one name
+/// counts. @return nothing if it is none
 std::optional<std::map<std::string, std::string>> parse_form(std::string_view body);
-/// A field of such a form; empty where it is not there.
+/// A field of such a form; empty: absent.
 std::string field_of(const std::map<std::string, std::string>& form, const std::string& name);
 
 }  // namespace abcal::console

@@ -44,7 +44,7 @@ TlsCertificate tls_certificate(const std::string& pem) {
 
 OpensslKey tls_key(const std::string& pem) {
   const OpensslBio bio = readable(pem);
-  // No passphrase: nobody is there to type it.
+  // No passphrase, as nobody is present to type it.
   OpensslKey key(PEM_read_bio_PrivateKey(
       bio.get(), nullptr, [](char*, int, int, void*) { return -1; }, nullptr));
   ERR_clear_error();
@@ -95,7 +95,7 @@ TlsIdentity make_own(const std::vector<std::string>& names, std::time_t begin) {
   return {written(certificate_pem), written(key_pem), true};
 }
 
-/// Whether it is in force, for a day at least, and has these names.
+/// Whether a certificate is valid now and for one more day, and has these names.
 bool serves(X509* certificate, const std::vector<std::string>& names, std::time_t now) {
   std::time_t tomorrow = now + 24 * 3600;
   if (X509_cmp_time(X509_get0_notBefore(certificate), &now) > 0 ||

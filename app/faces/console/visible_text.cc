@@ -9,7 +9,7 @@
 namespace abcal::console {
 namespace {
 
-/// Calls `each` with every character and the place behind it; a byte that is no UTF-8 is a character < 0.
+/// Calls `each` with every character and its bytes; a byte that is no UTF-8 is a character < 0.
 template <class Each>
 void for_each_character(std::string_view utf8, const Each& each) {
   const auto length = static_cast<std::int32_t>(utf8.size());
@@ -38,7 +38,7 @@ bool has_direction_controls(std::string_view utf8) {
 }
 
 std::string with_visible_direction_controls(std::string_view utf8) {
-  // Almost every text has none. Each begins with one of these bytes: U+061C, U+200E to U+2069.
+  // Most texts have none. These characters (U+061C, U+200E to U+2069) begin with one of these bytes.
   if (utf8.find('\xD8') == std::string_view::npos && utf8.find('\xE2') == std::string_view::npos)
     return std::string(utf8);
   std::string shown;

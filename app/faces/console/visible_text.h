@@ -5,8 +5,8 @@
 
 namespace abcal::console {
 
-/// Whether a text has characters that turn the direction of writing (Unicode's Bidi_Control): with them it
-/// looks other than it is.
+/// Whether a text has characters that change the direction of writing (Unicode's Bidi_Control): with them it
+/// looks different from its contents.
 bool has_direction_controls(std::string_view utf8);
 
 /// A text in which these characters are shown: "[U+202E]".

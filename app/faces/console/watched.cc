@@ -19,7 +19,7 @@ HaltReport WatchedStage::halt_axes() noexcept {
   const HaltReport report = stage_->halt_axes();
   try {
     see_halt_({report, to_seconds(real.now() - asked), real.utc_now()});
-  } catch (const std::exception&) {  // That a page is not told is no reason to stop halting.
+  } catch (const std::exception&) {  // A failure to notify pages does not affect the halt.
   }
   return report;
 }

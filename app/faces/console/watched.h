@@ -13,14 +13,14 @@
 
 namespace abcal::console {
 
-/// What became known of one axis.
+/// An encoder angle or a commanded angle of one axis.
 struct StageSeen {
   StageAxis axis = StageAxis::kX;
   std::optional<Angle> encoder;  ///< As the run read it.
   std::optional<Angle> target;   ///< As the run commanded it.
 };
 
-/// The stage was told to halt, by whomever.
+/// A halt command to the stage, from any source.
 struct HaltSeen {
   HaltReport report;
   double took_s = 0.0;   ///< Real time until the last axis had answered, or was given up.
@@ -29,14 +29,14 @@ struct HaltSeen {
 
 /// The readings of a short while of real time.
 struct StripSeen {
-  int item = 1;            ///< Of several items, which.
+  int item = 1;            ///< Number of the item.
   std::size_t stream = 0;  ///< Grows with each start of the stream: the times of two streams do not compare.
-  double time_s = 0.0;     ///< Of the last of them, in the bench's time from the start of the stream.
+  double time_s = 0.0;     ///< Last reading, in the bench's time since the first one of the stream.
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   Eigen::Vector3d lowest = Eigen::Vector3d::Zero();
   Eigen::Vector3d highest = Eigen::Vector3d::Zero();  ///< R, all three.
   int readings = 0;
-  std::string unit;  ///< R, as the accelerometer named it; empty if it was not asked.
+  std::string unit;  ///< R, as the accelerometer named it; empty: not asked.
   std::optional<double> temperature_degc;
 };
 
@@ -65,10 +65,10 @@ class WatchedStage final : public RotationStage {
   std::function<void(const HaltSeen&)> see_halt_;
 };
 
-/// Which of the items of a bench an accelerometer is.
+/// The number of an accelerometer's item, and the number of items of the bench.
 struct ItemOfBench {
   int k = 1;
-  std::size_t of = 1;  ///< As many are there.
+  std::size_t of = 1;  ///< Number of items.
 };
 
 /// An accelerometer whose readings are also passed on, in groups. All items of a bench together have at most

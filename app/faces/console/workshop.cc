@@ -13,7 +13,7 @@
 namespace abcal::console {
 namespace {
 
-/// Reading an old run leaves the processor to the current run.
+/// Lowers the priority of this thread, so that products of old runs do not slow the current run.
 void yield_to_measuring() {
   constexpr int kLessThanMeasuring = 10;
   thread_local bool done = false;
@@ -21,8 +21,8 @@ void yield_to_measuring() {
     ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
 }
 
-/// What a product took while it was made came in many small pieces (a list of a thousand runs, an analysis);
-/// glibc keeps them for its thread, the most that there ever were.
+/// Returns free memory to the system. A product is made from many small pieces (a list of a thousand runs, an
+/// analysis), which glibc would keep for the thread at their largest amount.
 void give_back_memory() {
 #ifdef __GLIBC__
   ::malloc_trim(0);
@@ -43,7 +43,7 @@ struct Workshop::Order {
   std::map<std::uint64_t, Done> waiting;
 };
 
-/// What is being made; of the thread of the connections.
+/// The orders in progress; used in the thread of the connections only.
 struct Workshop::Book {
   std::map<std::string, std::shared_ptr<Order>> by_name;
   std::size_t in_progress = 0;
@@ -60,7 +60,7 @@ Workshop::Workshop(boost::asio::io_context& io, std::size_t threads)
 
 Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done) {
   const std::uint64_t number = ++book_->tickets;
-  // A path cannot begin so: of nobody else.
+  // A name begins with "/", so that a number is shared with nobody.
   const std::string known_as = name.empty() ? std::to_string(number) : "/" + name;
   std::shared_ptr<Order>& place = book_->by_name[known_as];
   const bool is_new = place == nullptr;
@@ -93,7 +93,7 @@ Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done) 
     });
   }
   return {order.get(), [book = book_, order, number](Order*) {
-            if (order->waiting.erase(number) == 0) return;  // It was told.
+            if (order->waiting.erase(number) == 0) return;  // It was notified already.
             --book->in_progress;
             if (!order->waiting.empty()) return;
             book->forget(*order);
@@ -133,7 +133,7 @@ std::string ProductCache::hash_of(const std::filesystem::path& file) {
 std::string ProductCache::key_of(const std::string& what, const std::vector<std::filesystem::path>& files) {
   std::vector<std::string> parts{program_version(), what};
   for (const std::filesystem::path& file : files) {
-    // SQLite's log: somebody writes to it.
+    // The log of SQLite exists while a program writes to the file.
     if (std::filesystem::exists(file.string() + "-wal")) return {};
     parts.push_back(file.filename().string());
     parts.push_back(hash_of(file));

@@ -17,15 +17,15 @@
 
 namespace abcal::console {
 
-/// What was made for a page.
+/// A product that was made for a page.
 struct Product {
   unsigned status = 200;
   std::string content_type;
   std::string body;
-  bool is_file = false;  ///< To be kept, not to be shown.
+  bool is_file = false;  ///< For download, not for display.
 };
 
-/// Nobody waits for it any more.
+/// Nobody waits for the product any more.
 class Cancelled : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -34,13 +34,13 @@ class Cancelled : public std::runtime_error {
 /// @throws Cancelled
 void require_wanted(const std::stop_token& cancelled);
 
-/// Makes what takes its time, in the threads of a pool: once, however many wait for it, and not to its end if
-/// nobody does any more. Its functions are for the thread of `io`.
+/// Makes slow products in the threads of a pool: each once, however many clients wait for it, and given up if
+/// none waits any more. Its functions are for the thread of `io`.
 class Workshop {
  public:
   using Make = std::function<std::shared_ptr<const Product>(const std::stop_token& cancelled)>;
   using Done = std::function<void(const std::shared_ptr<const Product>& product)>;
-  /// Who waits. When it is destroyed, nothing is told, and the work ends if nobody else waits for it.
+  /// A waiting client. Once it is destroyed, `done` is not called, and the work ends if nobody else waits.
   using Ticket = std::shared_ptr<void>;
 
   Workshop(boost::asio::io_context& io, std::size_t threads);
@@ -48,13 +48,13 @@ class Workshop {
   Workshop(const Workshop&) = delete;
   Workshop& operator=(const Workshop&) = delete;
 
-  /// @param name  orders of one name get one product; empty: it is of nobody else
+  /// @param name  orders of one name share one product; empty: not shared
   /// @param make  called in the pool; what it throws becomes an answer for people
   /// @param done  called in the thread of `io`
   Ticket order(const std::string& name, Make make, Done done);
   /// Cancels all, and waits for the end.
   void close();
-  /// Orders that somebody waits for.
+  /// Number of waiting clients.
   std::size_t in_progress() const;
 
  private:
@@ -65,17 +65,17 @@ class Workshop {
   boost::asio::thread_pool pool_;
 };
 
-/// Keeps what was made of files, by the hash of their bytes, of the program and of what it is. What was not
-/// asked for longest goes first. Safe to use from several threads.
+/// Keeps products made from files, by a hash of the files, the version of the program and the product's name.
+/// The least recently used product is dropped first. Safe to use from several threads.
 class ProductCache {
  public:
   explicit ProductCache(std::size_t most_bytes) : most_bytes_(most_bytes) {}
 
   /// @param what   "report.pdf"
-  /// @param files  each as it is now; one that is not there is a state as well
-  /// @return empty: a file is just being written, and nothing made of it is worth keeping
+  /// @param files  each as it is now; absence is a state as well
+  /// @return empty: a file is being written, so that a product of it is not worth keeping
   std::string key_of(const std::string& what, const std::vector<std::filesystem::path>& files);
-  /// Null: it is not kept.
+  /// The product of a key; null: it is not kept.
   std::shared_ptr<const Product> find(const std::string& key);
   void keep(const std::string& key, std::shared_ptr<const Product> product);
 
@@ -94,7 +94,7 @@ class ProductCache {
   const std::size_t most_bytes_;
   std::mutex mutex_;
   std::map<std::string, Hashed> hashes_;  ///< By path: a file that has not changed is not read again.
-  std::list<Kept> kept_;                  ///< The latest first.
+  std::list<Kept> kept_;                  ///< Most recently used first.
   std::map<std::string, std::list<Kept>::iterator> places_;
   std::size_t bytes_ = 0;
 };

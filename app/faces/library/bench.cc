@@ -119,7 +119,7 @@ CompleteRun Bench::Data::measured(const Listener& listener,
     }
   }
   guarded.rethrow();
-  // Of several items the first that was measured to the end; load("RUN#K") reads each.
+  // With several items, the first that was measured to the end; load("RUN#K") reads each.
   const ::abcal::AnalysedItem& item = outcome->item(::abcal::shown_item(outcome->stored(), 0));
   if (item.results.empty())
     throw std::runtime_error(outcome->path.string() + ": a levelling, not a calibration; it has no result");

@@ -72,7 +72,7 @@ void check(const SimulatedWorld& world) {
 }  // namespace
 
 Eigen::Vector3d specific_force(int experiment, double alpha_deg, const StageErrors& errors) {
-  // No angle has a step error of its own here: any n will do.
+  // Individual step errors are zero here, so that the value of n does not matter.
   return ::abcal::gravity_in_aut(experiment, 1, ::abcal::Angle::degrees(alpha_deg), model_errors(errors));
 }
 

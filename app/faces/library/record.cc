@@ -114,7 +114,7 @@ std::vector<int> Record::experiment() const {
 
 namespace {
 
-// The dwells of a record lie one behind the other, so that a member of all of them is a column with a stride.
+// The dwells of a record are contiguous, so that one member of all dwells is a column with a stride.
 static_assert(sizeof(::abcal::DwellRecord) % sizeof(double) == 0);
 static_assert(sizeof(::abcal::Angle) == sizeof(double));
 constexpr Eigen::Index kStride = sizeof(::abcal::DwellRecord) / sizeof(double);

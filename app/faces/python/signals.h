@@ -32,7 +32,7 @@ class EventQueue {
     ended_ = true;
     wake_.notify_one();
   }
-  /// The next event; nothing after `patience`. @return false: there will be none any more
+  /// The next event; nothing after `patience`. @return false: no more events will follow
   bool next(std::optional<Event>& event, std::chrono::milliseconds patience) {
     std::unique_lock lock(mutex_);
     wake_.wait_for(lock, patience, [&] { return ended_ || !events_.empty(); });

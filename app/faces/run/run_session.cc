@@ -37,7 +37,7 @@ class RunSession::Analyst final : public RunAnalyst {
   void keep(ResultsFile& results, const MeasuredRun&, const std::string& utc) const override {
     for (const AnalysedItem& item : analysed_.items) {
       for (const CalibrationResult& each : item.results) keep_analysis(results, utc, each, item.stored);
-      // The fit of all items says something of an item that was dropped.
+      // The common fit of all items also has a result for an item that was dropped.
       if (item.results.empty())
         keep_analysis(results, utc,
                       analysed_.joint.items.at(static_cast<std::size_t>(item.stored.item) - 1).result,

@@ -14,11 +14,11 @@ namespace abcal {
 /// A complete run and its results. A levelling, and an item that was dropped, have no results.
 struct RunOutcome : AnalysedRun {
   std::filesystem::path path;
-  std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
-  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
+  std::string sha256;  ///< SHA-256 of the closed file; empty: readers keep it open, it is closed later.
+  bool measured_before = false;  ///< The angles were measured earlier; now only closed and analysed.
 
   bool is_levelling() const;
-  /// What is the same for all items (state, plan, timing, events), and the first item's own.
+  /// Data common to all items (state, plan, timing, events), and the first item's own.
   const StoredRun& stored() const { return items.front().stored; }
 };
 

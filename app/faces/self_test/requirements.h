@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// What the program must do, what happens if it does not, and the tests that fail then.
+/// A requirement of the program, the risk if it is not met, and the tests that then fail.
 struct Requirement {
   std::string words, risk;
   /// Functions ("analyse_joint", "RunFile::load") and files ("drivers/*/codec.cc") that fulfil it. Each of

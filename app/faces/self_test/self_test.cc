@@ -40,7 +40,7 @@ using Grade = SelfCheck::Grade;
 constexpr std::uintmax_t kLeastDiskBytes = 200u << 20;  // Some ten runs of 72 angles.
 constexpr double kLargestClockError_s = 1.0;
 
-// A bench whose stage and item are not perfect, so that the result has something to find.
+// A bench with errors of stage and item, which the result must find.
 constexpr const char* kBench = R"([bench]
 name = "self-test"
 g_loc_mps2 = 9.80101
@@ -106,7 +106,7 @@ void check_tool(Report& report, const Tool& tool, Grade if_absent) {
              found ? "installed" : fmt::format("not found; {} it: install {}", tool.needed_by, tool.package));
 }
 
-/// A program of ours: found, of this version, and able to start with its libraries.
+/// Checks a helper program: found, of this version, and able to start with its libraries.
 void check_helper(Report& report, const Tool& helper) {
   const std::string name = std::filesystem::path(helper.program).filename().string();
   report.attempt(name, [&] {
@@ -121,7 +121,7 @@ void check_helper(Report& report, const Tool& helper) {
   });
 }
 
-/// People start it with mpirun, so that it is beside abcal and not among its helpers.
+/// abcal-mpi is started by a person with mpirun, so that it is installed beside abcal, not among the helpers.
 Tool mpi_program() {
   return helper_program("abcal-mpi", "studies on several machines need");
 }
@@ -129,7 +129,7 @@ Tool mpi_program() {
 void check_schemas(Report& report) {
   const std::filesystem::path folder = program_schemas();
   const DccSchema schema(folder);
-  // One that lets everything pass would be none.
+  // A schema that accepts every document would be no check.
   const bool refuses =
       !schema
            .check(parse_xml("<dcc:digitalCalibrationCertificate xmlns:dcc=\"https://ptb.de/dcc\"/>", "empty"))
@@ -227,8 +227,8 @@ void check_installation(Report& report, Clock::UtcTime now) {
   });
 }
 
-/// The largest difference from what is printed, in halves of the last printed digit. What is printed below
-/// 1e-14 is the paper's round-off, and need only be below it here.
+/// The largest difference from the printed values, in halves of the last printed digit. Printed values below
+/// 1e-14 are the paper's round-off; ours need only be below 1e-14 as well.
 double largest_difference(const StudyOutput& ours, const StudyOutput& printed) {
   constexpr double kRoundOff = 1e-14;
   constexpr double kPrintedDigits = 4.0;
@@ -343,7 +343,7 @@ std::vector<SelfCheck> run_self_test(Clock::UtcTime now, const std::function<voi
   report.group("method");
   check_tables(report);
   check_gravity(report);
-  // The simulated run is nobody's: it needs no login, no key, no authority.
+  // The simulated run has no operator: it needs no login, no key, no authority.
   for (const char* name : {"ABCAL_REGISTER", "ABCAL_SIGNING_KEY", "ABCAL_TIME_STAMP_AUTHORITY"})
     ::unsetenv(name);
   report.attempt("simulated run", [&] { check_run(report); });

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// One check of the installed program and what it found.
+/// One check of the installed program and its finding.
 struct SelfCheck {
   enum class Grade {
     kGood,
@@ -28,7 +28,7 @@ struct SelfCheck {
 /// @param tell  called with each check when it is done; may be empty
 std::vector<SelfCheck> run_self_test(Clock::UtcTime now, const std::function<void(const SelfCheck&)>& tell);
 
-/// None is bad.
+/// Whether no check is bad.
 bool all_good(const std::vector<SelfCheck>& checks);
 
 }  // namespace abcal

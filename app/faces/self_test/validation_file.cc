@@ -62,7 +62,7 @@ std::string in_cell(std::string text) {
   return text;
 }
 
-/// "Suite.Name" of a test, without what an instance of parameters adds: "OnBothDatabases/Suite",
+/// "Suite.Name" of a test, without the parts that an instance of parameters adds: "OnBothDatabases/Suite",
 /// "Name/Sqlite".
 std::string plain_name(const std::string& suite, const std::string& name) {
   const std::size_t begin = suite.find('/');
@@ -85,7 +85,7 @@ void read_one(const std::filesystem::path& file, TestResults& results) {
                                          : ran                                ? TestResults::Outcome::kPassed
                                                : TestResults::Outcome::kSkipped;
     const auto [place, is_new] = results.outcomes.emplace(name, outcome);
-    // The worst of all instances; a skipped one beside one that passed shows nothing against it.
+    // The worst of all instances; a skipped instance does not count against one that passed.
     if (!is_new &&
         (outcome == TestResults::Outcome::kFailed || place->second == TestResults::Outcome::kSkipped))
       place->second = outcome;
@@ -109,7 +109,7 @@ std::string outcome_words(const std::string& test, const TestResults* results) {
   return "not run";
 }
 
-/// One word for a requirement, and the tests that are not like the others.
+/// Number of tests of a requirement that passed, and each test that did not.
 std::string result_of(const Requirement& requirement, const TestResults* results) {
   std::string others;
   std::size_t passed = 0;
@@ -128,7 +128,7 @@ std::string code_cell(const std::vector<std::string>& names) {
   return cell;
 }
 
-/// @param results_column  with what result_of() says
+/// @param results_column  whether the tables have a column with result_of()
 std::string tables(bool results_column, const TestResults* results) {
   std::string text;
   for (const RequirementSection& section : requirements()) {

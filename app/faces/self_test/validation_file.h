@@ -13,18 +13,18 @@ namespace abcal {
 struct TestResults {
   enum class Outcome { kPassed, kFailed, kSkipped };
   std::map<std::string, Outcome> outcomes;
-  std::string last_utc;  ///< Of the newest of the files; empty: there is none.
+  std::string last_utc;  ///< Time of the newest file; empty: no file states one.
 };
 
-/// Reads what GoogleTest wrote with GTEST_OUTPUT=xml:FOLDER/. A test with parameters passed if it passed with
-/// each of them.
+/// Reads the files that GoogleTest wrote with GTEST_OUTPUT=xml:FOLDER/. A test with parameters passed if it
+/// failed with none of them.
 /// @throws std::invalid_argument if the folder has none
 TestResults read_test_results(const std::filesystem::path& folder);
 
 /// docs/validation.md: requirements, risks, tests.
 std::string validation_page();
 
-/// What a validation file says beside its requirements.
+/// Facts that a validation file states in addition to its requirements.
 struct ValidationFacts {
   std::string version, created_utc, host;
 };

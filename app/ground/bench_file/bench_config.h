@@ -31,9 +31,9 @@ struct StageAxisConfig {
   std::string axis;  ///< The controller's name of the axis.
   int sign = +1;     ///< -1: the controller counts against the right-hand rule.
   Angle zero;        ///< Controller angle at the default orientation.
-  std::optional<double> travel_min_deg, travel_max_deg;  ///< Narrower than the controller's own.
-  std::optional<double> speed_deg_per_s;                 ///< Absent: as the controller has it.
-  // Where the axis has a controller of its own; else empty.
+  std::optional<double> travel_min_deg, travel_max_deg;  ///< Limits narrower than the controller's.
+  std::optional<double> speed_deg_per_s;                 ///< Absent: as set in the controller.
+  // Only if the axis has its own controller; else empty.
   std::string driver, port;
   std::optional<int> baud;
   std::string address;
@@ -47,16 +47,16 @@ struct StageConfig {
   std::optional<int> baud;  ///< Absent: the driver's usual one.
   std::string address;
   std::string serial_number;  ///< If given, any other controller is refused.
-  std::string unit;           ///< Of the axes, where the controller does not tell it: "deg" or nothing.
+  std::string unit;           ///< Unit of the axes if the controller does not report it: "deg" or empty.
   std::string
       level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
-  /// An axis states the address of its controller.
+  /// Whether an axis states the address of its controller.
   bool addressed() const { return !x.address.empty() || !z.address.empty(); }
-  /// Of two controllers: in a daisy chain, both on one port. TCP port 0, any free one, is another one each
-  /// time.
+  /// Whether two controllers are in a daisy chain on one port. TCP port 0 stands for any free port, a
+  /// different one each time.
   bool chained() const {
     return split() && x.port == z.port && x.port != "simulated" && !x.port.ends_with(":0");
   }
@@ -88,19 +88,19 @@ struct EnvironmentConfig {
   bool operator==(const EnvironmentConfig&) const = default;
 };
 
-/// [emulator]: which instruments `abcal emulate` and simulated ports show, and how their lines behave.
+/// [emulator]: models behind `abcal emulate` and simulated ports, and behaviour of their lines.
 struct EmulatorConfig {
-  std::string line = "real";           ///< Of pseudo-terminals: "real" or "ideal".
-  std::string stage_model;             ///< Empty: the usual one of the driver.
-  bool chamber_in_fahrenheit = false;  ///< As an F4T leaves the factory.
+  std::string line = "real";           ///< Behaviour of pseudo-terminals: "real" or "ideal".
+  std::string stage_model;             ///< Empty: the driver's usual one.
+  bool chamber_in_fahrenheit = false;  ///< Factory setting of an F4T.
 
   bool operator==(const EmulatorConfig&) const = default;
 };
 
-/// [notify]: who is told of faults and the end of a run. Empty: nobody.
+/// [notify]: recipients of messages on faults and the end of a run. Empty: none.
 struct NotifyConfig {
   std::string
-      webhook;  ///< http:// or https:// address, or "env:NAME": it stands in that environment variable.
+      webhook;  ///< http:// or https:// address, or "env:NAME": the environment variable that holds it.
   std::string mail_to, mail_from;
   std::string mail_server;  ///< smtp://HOST[:PORT] or smtps://HOST[:PORT]
 
@@ -117,10 +117,10 @@ struct BenchItemConfig {
   AccelerometerConfig accelerometer;
   Tolerances tolerances;  ///< [item_uncertainty], and [stage_uncertainty], which is the same for all items.
   LimitsConfig limits;
-  sim::OutputTruth simulation;      ///< As the bench file states it; item_truth() is what is simulated.
-  std::string accelerometer_model;  ///< [emulator]: empty: the usual one of the driver.
+  sim::OutputTruth simulation;      ///< As stated in the bench file; item_truth() gives the simulated truth.
+  std::string accelerometer_model;  ///< [emulator]; empty: the driver's usual one.
   std::string at_power_on;          ///< [emulator]: "streaming", "silent", or empty: as the maker ships it.
-  std::string left_out{};           ///< Not in the file: why its port is not opened; empty: it is opened.
+  std::string left_out{};           ///< Not in the file: reason why its port is not opened; empty: none.
 
   bool operator==(const BenchItemConfig&) const = default;
 };
@@ -140,7 +140,7 @@ struct BenchConfig {
   ProtocolConfig protocol;
   NotifyConfig notify;
   sim::StageTruth simulation;
-  sim::LinkTiming link;  ///< Of the simulated instruments.
+  sim::LinkTiming link;  ///< Timing of the simulated instruments' links.
   EmulatorConfig emulator;
   std::vector<FaultConfig> faults;
   std::vector<ChangeConfig> changes;
@@ -158,21 +158,21 @@ struct BenchConfig {
   bool is_same_bench(BenchConfig other) const { return other.warnings = warnings, *this == other; }
 };
 
-/// "item 3, ": what a message about an item begins with. Empty where the bench has one item only.
+/// "item 3, ", the beginning of a message about an item. Empty if the bench has one item only.
 std::string item_words(const BenchConfig& config, int item);
 
 /// The name of an item's accelerometer in faults, run files and recordings: "item-3"; "accelerometer" where
 /// the bench has one item only.
 std::string accelerometer_name(const BenchConfig& config, int item);
 
-/// A truth stated for an item, along the axes of the platter. [simulation] of one item states it so; each of
-/// several items states it along its own axes, and its mounting turns it.
+/// Turns a truth stated for an item to the axes of the platter. That of a single item is along them already;
+/// that of each of several items is along its own axes and is turned by its mounting.
 sim::OutputTruth truth_on_platter(const BenchConfig& config, int item, sim::OutputTruth stated);
 
-/// What is simulated of an item: its truth along the axes of the platter, and the seed of its noise.
+/// The simulated truth of an item along the axes of the platter, and the seed of its noise.
 sim::ItemTruth item_truth(const BenchConfig& config, int item);
 
-/// A bench file that cannot be used: every problem of it, with its line.
+/// A bench file that cannot be used, with all its problems and their lines.
 class BenchError : public std::runtime_error {
  public:
   BenchError(const std::string& file, std::vector<Problem> problems);
@@ -185,12 +185,12 @@ class BenchError : public std::runtime_error {
 /// Reads a bench file. @throws BenchError
 BenchConfig read_bench(const std::filesystem::path& path);
 
-/// The same from text; `source` names it in messages.
+/// As above, from text; `source` names it in messages.
 BenchConfig parse_bench(std::string_view toml, const std::string& source);
 
-/// A fault or change as `abcal emulate --control` takes it: a JSON object with the keys of [[fault]]
-/// or [[change]]; what a change does not name stays as it is in `now`. at_s counts from the start of the
-/// world.
+/// A fault or change as `abcal emulate --control` accepts it: a JSON object with the keys of [[fault]] or
+/// [[change]]. Quantities that a change does not name keep their values in `now`. at_s counts from the start
+/// of the world.
 /// @throws BenchError
 FaultConfig parse_fault(const nlohmann::json& json);
 ChangeConfig parse_change(const nlohmann::json& json, const sim::OutputTruth& now);

@@ -40,7 +40,7 @@ std::string a_driver_of_chains() {
   return fmt::format("the driver {}", fmt::join(names, " or "));
 }
 
-/// @param where of the section
+/// @param where  path of the section
 void check_address(TomlReader& reader, const std::string& where, const std::string& driver,
                    const std::string& address) {
   if (address.empty() || !makes_daisy_chains(driver)) return;
@@ -140,15 +140,16 @@ void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) 
 }
 
 bool is_range(double min, double max) {
-  return !std::isfinite(min) || !std::isfinite(max) || min < max;  // What is not finite is reported already.
+  return !std::isfinite(min) || !std::isfinite(max) || min < max;  // Others are reported already.
 }
 
 std::string travel_words(double min, double max) {
   return fmt::format("{:g} to {:g}", min, max);
 }
 
-/// The travel that [stage.x] states, of which one end may be the simulation's.
-/// @param where of the section; `simulated` of that of the simulation, empty: the stage is none
+/// Checks the travel that [stage.x] states; an end that it does not state is that of the simulation.
+/// @param where      path of the section
+/// @param simulated  path of the simulation's section; empty: not compared with it
 void check_stated_travel(TomlReader& reader, const std::string& where, const StageAxisConfig& axis,
                          const std::string& simulated, const sim::AxisTruth& truth) {
   const auto &min = axis.travel_min_deg, &max = axis.travel_max_deg;
@@ -216,7 +217,7 @@ constexpr const char* kMountingWords =
     "the axes along which u, v and w point, each once, as \"x y z\" or \"-y x z\"; or nine numbers, the rows "
     "of a rotation matrix";
 
-/// @param where of the section [accelerometer]
+/// @param where  path of the section [accelerometer]
 void check_accelerometer(TomlReader& reader, const std::string& where, AccelerometerConfig& accelerometer) {
   if (accelerometer.driver == "simulated") {
     if (accelerometer.port.empty()) accelerometer.port = "simulated";
@@ -245,19 +246,19 @@ void check_environment(TomlReader& reader, const EnvironmentConfig& environment)
                        "driver and port, or neither");
 }
 
-/// An instrument that outputs m/s2 has 9.8 of them for 1 g_loc, whatever is simulated.
-/// @param where of the section that states it
+/// Compares the simulated sensitivity with the instrument's unit: an output in m/s2 is 9.8 for 1 g_loc.
+/// @param where  path of the item's section and a point; empty: the top of the file
 void check_simulated_unit(TomlReader& reader, const std::string& where, const BenchItemConfig& item) {
   if (item.accelerometer.port != "simulated") return;
   if (const auto problem = simulated_unit_problem(item))
     reader.add_problem(where + problem->where, problem->found, problem->required);
 }
 
-/// A value that two items have must differ.
+/// Reports a value that a second item has as well.
 class OnlyOnce {
  public:
   OnlyOnce(TomlReader& reader, std::string required) : reader_(reader), required_(std::move(required)) {}
-  /// @param shown  what of `value` stands at `where`
+  /// @param shown  the part of `value` that the file has at `where`
   void look(const std::string& value, const std::string& shown, std::size_t item, const std::string& where) {
     const auto [first, is_new] = first_.emplace(value, item);
     if (!is_new)
@@ -270,7 +271,7 @@ class OnlyOnce {
   std::map<std::string, std::size_t> first_;
 };
 
-/// One port, one instrument: TCP port 0, any free one, is another one each time.
+/// Each item has its own port. TCP port 0 may be repeated: it stands for any free port.
 void check_ports_of_items(TomlReader& reader, const std::vector<BenchItemConfig>& items) {
   OnlyOnce ports(reader, "a port of its own for each item");
   for (std::size_t i = 0; i < items.size(); ++i) {
@@ -297,7 +298,7 @@ void check_names_of_items(TomlReader& reader, const std::vector<BenchItemConfig>
   }
 }
 
-/// A list of one item means the same as [item] and [accelerometer], where the truth is stated along the axes
+/// Converts a list of one item into the form [item] and [accelerometer], in which the truth is along the axes
 /// of the platter and faults name the accelerometer.
 void take_as_one_item(BenchConfig& c) {
   BenchItemConfig& item = c.items.front();
@@ -366,7 +367,7 @@ void check_notify(TomlReader& reader, const NotifyConfig& notify) {
                        "smtp://HOST[:PORT] or smtps://HOST[:PORT]");
 }
 
-/// @param where of the fault
+/// @param where  path of the fault
 void check_lost_controller(TomlReader& reader, const std::string& where, const FaultConfig& fault,
                            const StageConfig& stage) {
   if (fault.kind != "lost-controller") return;
@@ -407,7 +408,7 @@ void check_faults_and_changes(TomlReader& reader, const BenchConfig& c, std::siz
   }
 }
 
-/// One quantity, one place: its old key and its new one are not both given.
+/// Reports a quantity that is given by both its old and its new key.
 void check_stated_once(TomlReader& reader, const toml::table& root) {
   for (const EffectSizeKey& key : effect_size_keys()) {
     if (!key.was_tolerance) continue;

@@ -5,13 +5,13 @@
 
 namespace abcal {
 
-/// Reports every problem that needs more than one key of the bench file to be seen, and fills in what follows
-/// from other keys (local gravity from latitude and height, the port of simulated instruments).
+/// Reports every problem that only several keys of the bench file together show, and fills in the values that
+/// follow from other keys (local gravity from latitude and height, the port of simulated instruments).
 /// @param root  the file that `reader` reads
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& config);
 
-/// The simulated truth of an item does not fit the unit of its instrument: sensitivities in g/g_loc for one
-/// that outputs m/s2, or the other way round. Matters where the accelerometer is simulated or emulated.
+/// The problem of a simulated truth that does not fit the unit of its instrument: sensitivities in g/g_loc
+/// for an output in m/s2, or vice versa; absent: it fits. For simulated and emulated accelerometers only.
 std::optional<Problem> simulated_unit_problem(const BenchItemConfig& item);
 
 }  // namespace abcal

@@ -19,7 +19,7 @@ void append_names(std::vector<std::string>& names, const std::vector<CataloguedD
     if (driver.has_port == has_port) names.push_back(driver.name);
 }
 
-/// What chambers can do at all.
+/// Temperatures that no chamber exceeds, in degC.
 constexpr Range kChamberRange{-200.0, 400.0};
 
 void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisConfig& axis) {
@@ -252,7 +252,7 @@ void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
   keys.number("drift", l.drift, kLimit);
 }
 
-/// @param output  of the only item, or the default of every item; null: the items state it themselves
+/// @param output  truth of the only item, or default of all items; null: each item states its own
 void visit_simulation(KeyVisitor& keys, sim::StageTruth& s, sim::OutputTruth* output) {
   keys.section("simulation");
   keys.seed("seed", s.seed);
@@ -330,7 +330,7 @@ void visit_change_of_bench(KeyVisitor& keys, BenchConfig& c, std::size_t i, bool
   ChangeConfig& change = c.changes[i];
   if (is_list || keys.shows_every_form()) keys.integer("item", change.item, 1, static_cast<int>(kMostItems));
   if (keys.writes() || keys.shows_every_form()) return visit_change(keys, change);
-  // What a change does not name stays as it was. A number that no item has is reported later.
+  // Quantities that a change does not name keep their values. A number that no item has is reported later.
   const auto item = std::min(static_cast<std::size_t>(change.item), c.items.size());
   change.truth = c.items[item - 1].simulation;
   for (std::size_t before = 0; before < i; ++before)
@@ -352,7 +352,7 @@ std::vector<std::string> stage_driver_names() {
 
 void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.required_text("kind", fault.kind, fault_names());
-  // Whether there is one of this name depends on the items: bench_consistency.cc.
+  // Which names exist depends on the items: bench_consistency.cc checks them.
   keys.text("instrument", fault.instrument,
             keys.shows_every_form() ? fault_instruments() : std::vector<std::string>{});
   keys.text("axis", fault.axis, {"x", "z"});
@@ -374,12 +374,12 @@ void visit_change(KeyVisitor& keys, ChangeConfig& change) {
 void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   keys.section("");
   keys.text("schema", c.schema, {"abcal.bench/2", "abcal.bench/1"});
-  c.schema = "abcal.bench/2";  // What is read is kept, and written, in the terms of this schema.
+  c.schema = "abcal.bench/2";  // The configuration is kept, and written, in the terms of this schema.
   visit_bench(keys, c);
-  // A list of one item is read, too; one item is written in the form [item].
+  // A list of one item is accepted; a single item is written in the form [item].
   const bool is_list = keys.writes() ? c.has_several_items() : keys.is_list("item");
   const bool shows_one = !is_list || keys.shows_every_form();
-  // The sections of items above a list are defaults; a list that is written states everything by itself.
+  // In a file, the sections of an item above a list are defaults; a written list states every value itself.
   BenchItemConfig& first = c.items.front();
   const bool states_items = !(keys.writes() && is_list);
   if (shows_one) {

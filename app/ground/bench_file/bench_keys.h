@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// What [stage] driver may be; empty where each axis has a driver of its own.
+/// Permitted values of [stage] driver, among them the empty one, for axes that have their own drivers.
 std::vector<std::string> stage_driver_names();
 
 /// Visits every key of a bench file. Reading, writing and the list of known keys follow from it: a new key is

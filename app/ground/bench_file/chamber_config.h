@@ -8,12 +8,12 @@
 
 namespace abcal {
 
-/// [chamber]: the thermal chamber around the stage. No driver: there is none.
+/// [chamber]: the thermal chamber around the stage. No driver: no chamber.
 struct ChamberConfig {
   std::string driver, port;
   std::optional<int> baud;
   ChamberSettings settings;
-  std::optional<double> min_degc, max_degc;  ///< Narrower than its own hardware's limits.
+  std::optional<double> min_degc, max_degc;  ///< Limits narrower than those of its hardware.
   bool dry_gas = false;                      ///< Dry air or nitrogen is on: nothing can condense.
   double poll_s = 2.0;
 
@@ -26,17 +26,17 @@ struct ChamberConfig {
 struct TemperatureConfig {
   std::vector<double> set_points_degc;  ///< In one direction; empty: no series.
   double reference_degc = 23.0;
-  bool down = true;                   ///< Back down through the same points.
+  bool down = true;                   ///< Measure back through the same points, too.
   double ramp_k_per_min = 1.0;        ///< 0: as fast as the chamber can.
-  double air_window_k = 1.5;          ///< Of the air around the set point, before a soak counts.
-  double soak_min_s = 1800.0;         ///< With the air in its window.
-  double soak_rate_k_per_min = 0.02;  ///< The item's sensor must move slower than this.
-  double soak_span_s = 300.0;         ///< Over which that is looked at.
+  double air_window_k = 1.5;          ///< Largest deviation of the air from the set point during a soak.
+  double soak_min_s = 1800.0;         ///< Shortest soak, with the air in its window.
+  double soak_rate_k_per_min = 0.02;  ///< Limit of the rate of the item's sensor at the end of a soak.
+  double soak_span_s = 300.0;         ///< Time over which this rate is determined.
   double soak_max_s = 14'400.0;       ///< Longest wait, ramp included; then the series ends.
-  std::optional<double> item_min_degc, item_max_degc;  ///< What the item stands.
-  double dew_point_margin_k = 2.0;                     ///< The air must be so much warmer than its dew point.
-  bool pause = true;            ///< Compressor or fan pauses in dwells, where the chamber can.
-  std::string end = "ambient";  ///< "hold", "ambient", "off".
+  std::optional<double> item_min_degc, item_max_degc;  ///< Limits that the item withstands.
+  double dew_point_margin_k = 2.0;                     ///< Least difference of air and dew point.
+  bool pause = true;            ///< Pause compressor or fan in dwells, if the chamber can.
+  std::string end = "ambient";  ///< Final state of the chamber: "hold", "ambient", "off".
 
   bool wanted() const { return !set_points_degc.empty(); }
   ChamberPolicy policy() const {

@@ -13,10 +13,10 @@ namespace abcal {
 namespace {
 
 constexpr const char* kPoints = "temperature.set_points_degc";
-/// Of a room of which nothing is stated: 25 degC and 55 %.
+/// Dew point (degC) of a room whose conditions are not stated: that of 25 degC and 55 %.
 constexpr double kUsualDewPoint = 15.0;
 
-/// All temperatures that the series goes to.
+/// All temperatures of the series.
 std::vector<double> all_points(const TemperatureConfig& t) {
   std::vector<double> points = t.set_points_degc;
   points.push_back(t.reference_degc);
@@ -55,7 +55,7 @@ void check_points(std::vector<Problem>& problems, const TemperatureConfig& t) {
     problems.push_back({kPoints, list_of(points), "each once, in order from one end to the other"});
 }
 
-/// The longest way from one point to the next, in seconds of the ramp.
+/// The longest ramp from one point to the next, in seconds.
 double longest_ramp_s(const TemperatureConfig& t) {
   if (t.ramp_k_per_min <= 0.0) return 0.0;
   double before = t.reference_degc, longest = 0.0;

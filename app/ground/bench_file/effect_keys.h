@@ -8,8 +8,8 @@
 
 namespace abcal {
 
-/// [stage_uncertainty] and [item_uncertainty], and of a file of abcal.bench/1 [tolerances], which is read but
-/// not written; a warning says so.
+/// Visits [stage_uncertainty] and [item_uncertainty]. [tolerances] of abcal.bench/1 is read as well, with a
+/// warning, but not written.
 /// @param with_item  whether [item_uncertainty] is visited
 void visit_effect_sizes(KeyVisitor& keys, EffectSizes& sizes, bool with_item,
                         std::vector<std::string>& warnings);

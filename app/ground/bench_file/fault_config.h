@@ -16,8 +16,8 @@ struct FaultConfig {
   std::string axis = "x";       ///< Faults of an axis: "x" or "z".
   double at_s = 0.0;            ///< From the start of the world on.
   std::optional<double> for_s;  ///< Absent: it lasts.
-  std::optional<int> at_write, for_writes;  ///< Faults of the wire: from this command on, that many.
-  double value = 0.0;                       ///< clipped-output: full scale in R; of an axis: degrees.
+  std::optional<int> at_write, for_writes;  ///< Faults of the wire: first command, number of commands.
+  double value = 0.0;                       ///< clipped-output: full scale in R; axis faults: degrees.
   std::string output;                       ///< stuck-output: "u", "v" or "w"; empty: all three.
   std::string text;                         ///< replaced-reply
   double delay_s = 1.0;                     ///< late-reply
@@ -25,11 +25,11 @@ struct FaultConfig {
   bool operator==(const FaultConfig&) const = default;
 };
 
-/// One `[[change]]`: from `at_s` on the accelerometer and the room are like this.
+/// One `[[change]]`: the truth of accelerometer and room from `at_s` on.
 struct ChangeConfig {
   double at_s = 0.0;
   sim::OutputTruth truth;
-  int item = 1;  ///< Of several.
+  int item = 1;  ///< Number of the item, from 1.
 
   bool operator==(const ChangeConfig&) const = default;
 };
@@ -43,7 +43,7 @@ std::optional<int> item_of_instrument(std::string_view instrument);
 /// The names that FaultConfig::kind may have.
 std::vector<std::string> fault_names();
 
-/// What is wrong with a fault in itself (no instrument for one of the wire, an unknown axis), or nothing.
+/// The problem of a fault of the wire that names no instrument; nothing for any other fault.
 std::optional<std::string> problem_of(const FaultConfig& fault);
 
 }  // namespace abcal

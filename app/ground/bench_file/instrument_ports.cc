@@ -57,7 +57,7 @@ std::vector<InstrumentPort> accelerometer_ports(const BenchConfig& config, int i
   std::vector<InstrumentPort> ports(count, port);
   std::istringstream words(accelerometer.port);
   for (std::size_t j = 0; j < count; ++j) {
-    // One word for all: simulated.
+    // A word that is missing repeats the one before: "simulated" stands for all.
     if (std::string word; words >> word) port.port = word;
     ports[j].port = port.port;
     ports[j].part = j;

@@ -21,25 +21,25 @@ struct InstrumentPort {
   std::string driver, port;
   std::optional<int> baud;
   std::string address{};
-  std::size_t part = 0;             ///< Of several ports of one instrument: which.
-  std::size_t connection = 0;       ///< Of several connections to one port: which.
-  std::optional<StageAxis> axis{};  ///< Of a stage's controller that has one axis only: which.
+  std::size_t part = 0;             ///< Index among several ports of one instrument.
+  std::size_t connection = 0;       ///< Index among several connections to one port.
+  std::optional<StageAxis> axis{};  ///< The axis of a stage's controller that has one axis only.
   int item = 1;                     ///< Number of the item whose accelerometer it is.
 
   /// The controller's names of X and Z; empty: not on this controller.
   std::array<std::string, 2> axis_names(const StageConfig& stage) const;
 };
 
-/// The stage's controller, or one for each axis. Empty for a stage without bytes.
+/// The port of the stage's controller, or one for each axis. Empty for a stage without bytes.
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage);
 /// The connections to a stage's port: itself, and "NAME-2" and so on for the others.
 std::vector<InstrumentPort> connections_of(const InstrumentPort& port, std::size_t count);
 /// The port of an item's accelerometer, or its several ports ("PORT PORT PORT"), as accelerometer_name()
 /// calls them: "item-3", or "item-3-u" and so on. Empty for one without bytes.
 std::vector<InstrumentPort> accelerometer_ports(const BenchConfig& config, int item);
-/// Those of all accelerometers of a bench that are to be opened.
+/// The ports of all accelerometers of a bench, except those that are left out.
 std::vector<InstrumentPort> all_accelerometer_ports(const BenchConfig& config);
-/// The port of the thermometer and hygrometer, if there is one.
+/// The port of the thermometer and hygrometer; empty without one.
 std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment);
 
 /// The port of the thermal chamber, if it has one.

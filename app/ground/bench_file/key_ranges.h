@@ -4,14 +4,14 @@
 
 namespace abcal {
 
-// What no laboratory leaves: wide enough for every instrument, and narrow enough that no arithmetic of the
-// program overflows.
+// Ranges that no laboratory exceeds: wide enough for every instrument, and narrow enough that no arithmetic
+// of the program overflows.
 
 /// R of one output, whatever its unit: from 1e-12 to the counts of a wide converter.
 inline constexpr double kLeastResponse = 1e-12, kMostResponse = 1e12;
 inline constexpr Range kResponse{-kMostResponse, kMostResponse};
 inline constexpr Range kResponseSize{0.0, kMostResponse};
-/// Of a range or a sensitivity: by it the program divides.
+/// A range or a sensitivity, by which the program divides.
 inline constexpr Range kPositiveResponse{kLeastResponse, kMostResponse};
 
 /// Coefficients of the order n of a response, in 1/R^(n-1), for outputs of 1e-9 R and more.
@@ -41,7 +41,7 @@ inline constexpr Range kHeating{0.0, 1000.0};
 inline constexpr Range kTemperatureWidth{1e-6, 1000.0};
 inline constexpr Range kTemperatureRate{-1e6, 1e6};  // per hour
 
-/// [limits]: 1e9 means "never", as a stored run says where a bench file gives none.
+/// [limits]: 1e9 means "never"; a stored run has it for a limit that the bench file does not give.
 inline constexpr double kNoLimit = 1e9;
 inline constexpr Range kLimit{0.0, kNoLimit, true};
 inline constexpr Range kTemperatureLimit{-kNoLimit, kNoLimit};

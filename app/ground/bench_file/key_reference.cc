@@ -14,7 +14,7 @@
 namespace abcal {
 namespace {
 
-/// Sections of one of several items have the keys of sections of the file.
+/// Beginning of the sections of one of several items, which have the keys of sections of the file.
 constexpr std::string_view kOfAnItem = "item.";
 
 /// "stage.z" and "stage.x" are "stage.AXIS"; a change has the keys of [simulation].
@@ -48,7 +48,7 @@ std::string unit_of_name(const std::string& key) {
   return {};
 }
 
-/// Limits that are not given are infinite or +-1e9: no default that a person should see.
+/// A limit that is not given is infinite or +-1e9, which is not shown as a default.
 std::string real_text(double value) {
   return std::abs(value) < 1e9 ? fmt::format("{}", value) : std::string();
 }
@@ -71,14 +71,14 @@ std::string choices_text(const std::string& key, const std::vector<std::string>&
   return fmt::format("{}", fmt::join(words, ", "));
 }
 
-/// A bar would end the cell of a Markdown table.
+/// Escapes bars, which would end the cell of a Markdown table.
 std::string in_table_cell(std::string text) {
   for (std::size_t at = text.find('|'); at != std::string::npos; at = text.find('|', at + 2))
     text.insert(at, "\\");
   return text;
 }
 
-/// Notes every key that it is shown, with its default.
+/// Collects every key that is visited, with its default.
 class KeyCollector final : public KeyVisitor {
  public:
   void section(const std::string& path) override { section_ = path; }
@@ -187,7 +187,7 @@ std::string table_row(const BenchKey& key) {
                      key.meaning);
 }
 
-/// What the page says in place of a table whose keys are those of another section; empty: nothing.
+/// The text in place of a table whose keys are those of another section; empty: the page has the table.
 std::string words_for_same_keys(const BenchKey& key) {
   if (key.section == "item" && key.repeated) return "The keys of `[item]`.\n";
   if (!key.section.starts_with(kOfAnItem)) return {};

@@ -12,7 +12,7 @@ struct BenchKey {
   std::string key;
   std::string type;      ///< "number", "text", "3 numbers", ...
   std::string unit;      ///< Empty: none.
-  std::string range;     ///< What is accepted; empty: anything of the type.
+  std::string range;     ///< Accepted values; empty: any of the type.
   std::string fallback;  ///< The default as TOML; empty: none, the key may be absent.
   std::string meaning;   ///< Empty: not written yet (a test fails).
   bool required = false;
@@ -24,12 +24,12 @@ std::vector<BenchKey> bench_keys();
 /// The page docs/bench_file.md in Markdown, as `abcal plan --keys` prints it.
 std::string bench_file_page();
 
-/// What a key means, and its unit where the name does not end with it (`_deg`, `_s`). Empty
-/// if it is not listed.
+/// The meaning of a key, and its unit if the name does not end with it (`_deg`, `_s`). Empty if the key is
+/// not listed.
 struct KeyMeaning {
   std::string text;
   std::string unit;
-  bool no_default = false;  ///< The value of an absent key is not used; the meaning says what is.
+  bool no_default = false;  ///< The value of an absent key is not used; the meaning states the effect.
 };
 /// @param path  "protocol.settle_s"; "stage.AXIS.sign" stands for both axes.
 KeyMeaning bench_key_meaning(const std::string& path);

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// What `abcal level` found, as it is stored (JSON, schema abcal.level/1).
+/// The result of `abcal level`, as it is stored (JSON, schema abcal.level/1).
 struct LevelFile {
   std::string utc;
   std::string program_version;
@@ -21,7 +21,7 @@ struct LevelFile {
 nlohmann::ordered_json level_json(const LevelFile& level);
 void write_level_file(const std::filesystem::path& path, const LevelFile& level);
 
-/// @throws std::invalid_argument naming the file and what is wrong with it
+/// @throws std::invalid_argument naming the file and its problem
 LevelFile read_level_file(const std::filesystem::path& path);
 
 }  // namespace abcal

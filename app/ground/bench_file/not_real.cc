@@ -10,7 +10,7 @@
 namespace abcal {
 namespace {
 
-/// Whether a bench file describes a simulated bench: its [simulation] says something.
+/// Whether a bench file describes a simulated bench: its [simulation] differs from the default.
 bool has_simulation(const BenchConfig& bench) {
   BenchConfig without = bench;
   without.simulation = {};
@@ -18,7 +18,7 @@ bool has_simulation(const BenchConfig& bench) {
   return without != bench;
 }
 
-/// Whether an instrument reported a serial number of the emulator's.
+/// Whether an instrument reported a serial number that the emulator uses.
 bool reports_simulated_serial_number(const InstrumentIdentity& instrument,
                                      const std::vector<InstrumentPort>& ports) {
   std::vector<std::string> marks;

@@ -9,13 +9,12 @@
 
 namespace abcal {
 
-/// The single serial numbers of what an instrument reported: a controller's stages "12/13", two controllers
+/// Splits a reported serial number into single ones: a controller's stages "12/13", two controllers
 /// "12 + 13", three voltmeters "12, 13, 14".
 std::vector<std::string> single_serial_numbers(std::string_view reported);
 
-/// Whether each of the instruments of what was reported gave a serial number: not of "", of " + 13" (the
-/// first of two controllers gave none), of "12, 0" (IEEE 488.2, 10.14: a voltmeter answers 0 where it has
-/// none).
+/// Whether a reported serial number has a part for each instrument: false for "", for " + 13" (the first of
+/// two controllers gave none), and for "12, 0" (IEEE 488.2, 10.14: a voltmeter that has none answers 0).
 bool is_serial_number_reported(std::string_view reported);
 
 /// The label of a run with the serial number that the bench file states for an instrument ("stage",
@@ -26,11 +25,11 @@ std::string stated_serial_number_label(const std::string& role);
 bool has_simulated_accelerometer(const BenchConfig& config);
 
 /// Which of "stage" and "accelerometer" are simulated in a bench file, in whole or in part. An emulated
-/// instrument on a pseudo-terminal looks like a real one and is not among them.
+/// instrument on a pseudo-terminal cannot be distinguished from a real one and is not among them.
 std::vector<std::string> simulated_instruments(const BenchConfig& config);
 
 /// Which instruments of a run were not real ("stage", "accelerometer"): simulated by the bench file, or by an
-/// emulator that the file's [simulation] or the serial numbers give away.
+/// emulator that the file's [simulation] or the serial numbers reveal.
 std::vector<std::string> instruments_not_real(const RunHeader& header, const BenchConfig& bench);
 
 }  // namespace abcal

@@ -25,7 +25,7 @@ struct FactList {
   std::vector<std::pair<std::string, std::string>> facts;
 };
 
-/// Two lists of facts next to each other. Pages only: one after the other as text.
+/// Two lists of facts, next to each other on pages, one after the other in text.
 struct SideBySide {
   FactList left, right;
 };
@@ -49,7 +49,7 @@ struct DocumentTable {
   std::vector<Column> columns;
   std::vector<std::vector<std::string>> rows;
   CellKind caption_kind = CellKind::kText;
-  bool may_break = false;  ///< Over two pages, though it would fit on one: leaves no half page empty.
+  bool may_break = false;  ///< May break over two pages even if it fits on one, to leave no page half empty.
   bool dense = false;      ///< Many narrow columns: little room between them.
 };
 

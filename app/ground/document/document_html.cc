@@ -165,9 +165,9 @@ void prefix_ids(xmlNode* node, const std::string& prefix) {
   }
 }
 
-/// gnuplot draws a mark in the colour of where it is used ("currentColor"), on which WeasyPrint fails. A mark
-/// gets its colour as the stroke, a filled one as the fill, of where it is used, which all readers of SVG
-/// hand down alike.
+/// gnuplot draws a mark in the colour of the place of its use ("currentColor"), on which WeasyPrint fails.
+/// The place of use gets this colour as its stroke, for a filled mark as its fill, which all readers of SVG
+/// inherit alike.
 class MarkColours {
  public:
   void set(xmlNode* node) {

@@ -15,7 +15,7 @@ const Tool kGnuplot{"gnuplot", "figures need", "gnuplot-nox"};
 
 namespace {
 
-/// ~/.gnuplot is a program: another person who can write it must not change our figures.
+/// ~/.gnuplot is not read: it is a program, by which another person could change our figures.
 constexpr const char* kNoStartupFiles = "-d";
 constexpr std::chrono::seconds kLongestDrawing{120};
 

@@ -89,7 +89,7 @@ void add_output_intent(QPDF& pdf) {
   pdf.getRoot().replaceKey("/OutputIntents", QPDFObjectHandle::newArray({pdf.makeIndirectObject(intent)}));
 }
 
-/// The title and the producer move from the information dictionary, which need not be there, to the metadata.
+/// Moves title and producer from the information dictionary, which may be absent, to the metadata.
 void add_metadata(QPDF& pdf) {
   QPDFObjectHandle info = pdf.getTrailer().getKey("/Info");
   const auto said = [&](const std::string& key) {
@@ -111,7 +111,7 @@ void add_attachment(QPDF& pdf, const Attachment& attachment) {
   const bool is_xml = attachment.file.extension() == ".xml";
   auto stream = QPDFEFStreamObjectHelper::createEFStream(pdf, bytes.str());
   stream.setSubtype(is_xml ? "text/xml" : "application/octet-stream");
-  // A part of the standard's minimum; the same for the same file.
+  // The standard requires a date; a fixed one keeps the output the same for the same file.
   stream.setModDate("D:20240101000000Z");
   auto file = QPDFFileSpecObjectHelper::createFileSpec(pdf, name, stream);
   const bool is_data = attachment.kind == AttachmentKind::kData;

@@ -15,7 +15,7 @@ namespace abcal {
 void make_archive(const std::filesystem::path& tagged, const std::filesystem::path& output,
                   const std::optional<Attachment>& attachment);
 
-/// The bytes of the attached file whose relation is Data; empty: there is none.
+/// The bytes of the attached file whose relation is Data; empty: none is attached.
 /// @throws std::runtime_error  with qpdf's words
 std::string attached_data(const std::filesystem::path& pdf);
 

@@ -23,7 +23,7 @@ class PdfPrinter {
   /// @throws ProgramMissing, std::runtime_error
   PdfPrinter();
 
-  /// Once.
+  /// To be called once.
   /// @param cancelled  asked each 0.1 s; true ends it
   /// @throws ProgramMissing, RunInterrupted, std::runtime_error
   void print(const std::string& html, const std::filesystem::path& pdf,

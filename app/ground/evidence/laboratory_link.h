@@ -11,8 +11,8 @@
 
 namespace abcal {
 
-/// What the register says before a run begins. Nothing is asked of it later: losing it neither stops nor
-/// delays a run.
+/// The register's answer before a run begins. Nothing is asked while the run measures: losing the register
+/// neither stops nor delays it.
 struct RegisteredStart {
   RunOperator who;
   std::string calibrations_json;  ///< Calibrations of equipment in use that hold today; empty: no register.
@@ -21,7 +21,7 @@ struct RegisteredStart {
 /// A complete run.
 struct EndedRun {
   const std::filesystem::path& path;
-  const std::string& sha256;  ///< Of the closed file; empty: it is closed later.
+  const std::string& sha256;  ///< SHA-256 of the closed file; empty: it is closed later.
   const StoredRun& stored;
 };
 

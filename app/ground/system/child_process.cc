@@ -102,7 +102,7 @@ struct InputSocket {
   explicit InputSocket(const std::array<int, 2>& ends) : ours(ends[0]), theirs(ends[1]) {}
 };
 
-/// Between fork and exec, in the child: only calls that are safe there. Signals have their default handling.
+/// Runs in the child between fork and exec: only async-signal-safe calls. Signals get default handling.
 [[noreturn]] void become(const char* program, char* const* argv, const ChildStreams& streams, pid_t parent) {
   ::setpgid(0, 0);
   // A program must not outlive abcal, even if abcal is killed.
@@ -186,7 +186,7 @@ class Child {
   /// Ends it and the programs that it started. @return its status
   int stop() {
     if (pid_ <= 0) return 0;
-    ended_too_.reset();  // Its number may soon be that of another.
+    ended_too_.reset();  // Its number may soon be that of another process.
     ::kill(-pid_, SIGKILL);
     int status = 0;
     while (::waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
@@ -206,7 +206,7 @@ class Child {
     return false;
   }
 
-  /// Keeps the first 64 kB. @return false at the end, or where there is nothing now
+  /// Keeps the first 64 kB. @return false at the end, or if no bytes are available now
   static bool read_some(int words, std::string& kept) {
     constexpr std::size_t kMost = 65'536;
     std::array<char, 4096> chunk{};

@@ -18,7 +18,7 @@ class ProgramMissing : public std::runtime_error {
 
 /// Another program of this machine, and how to get it.
 struct Tool {
-  std::string program;  ///< Looked for in PATH, but a path with "/" is taken as it stands.
+  std::string program;  ///< Name, searched for in PATH, or a path with "/".
   std::string needed_by;
   std::string package;  ///< Debian package that contains it.
 };
@@ -69,7 +69,7 @@ class ToolAwaitingInput {
   ToolAwaitingInput(const ToolAwaitingInput&) = delete;
   ToolAwaitingInput& operator=(const ToolAwaitingInput&) = delete;
 
-  /// Gives it all of its standard input, and waits for its end. Once.
+  /// Gives it the whole standard input, and waits for its end. To be called once.
   /// @param cancelled  asked each 0.1 s; true ends the program
   /// @throws RunInterrupted, std::runtime_error
   ToolResult finish(std::string_view input, std::chrono::seconds longest = kLongestTool,

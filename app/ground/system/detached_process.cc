@@ -17,9 +17,9 @@ extern char** environ;
 namespace abcal {
 namespace {
 
-/// How it begins: a session of its own without terminal and standard input, signals with their default
-/// handling, and no descriptor of this program but the standard ones and one that it gets. Standard output
-/// goes to standard error.
+/// Settings of a detached program: its own session without terminal and standard input, signals with their
+/// default handling, and no descriptor of this program but standard error and the one that it is given.
+/// Standard output goes to standard error.
 class DetachedSettings {
  public:
   explicit DetachedSettings(int descriptor) {

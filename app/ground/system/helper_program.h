@@ -10,10 +10,10 @@
 namespace abcal {
 
 /// A program that belongs to abcal: in the folder of the running program, or installed in ../libexec/abcal
-/// from there; never looked for in PATH.
+/// from there; never searched for in PATH.
 Tool helper_program(const std::string& name, const std::string& needed_by);
 
-/// Runs it to its end. Its output is the message of its failure.
+/// Runs a helper program to its end. Its output is the message of its failure.
 /// @throws std::invalid_argument if it ends with kExitUsage, ProgramMissing, RunInterrupted,
 /// std::runtime_error
 void run_helper(const std::string& name, const std::string& needed_by,

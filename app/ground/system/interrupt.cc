@@ -41,7 +41,7 @@ struct SignalPolicy {
 };
 
 SignalPolicy& policy() {
-  static SignalPolicy& instance = *new SignalPolicy;  // For ever: the watching thread never ends.
+  static SignalPolicy& instance = *new SignalPolicy;  // Never deleted: the watching thread never ends.
   return instance;
 }
 

@@ -2,8 +2,8 @@
 
 namespace abcal {
 
-/// The last of the signals of watch_for_signals() (app/ground/system/interrupt.h) that has come and has to be
-/// followed by an orderly end; 0: none. To ask undertakes nothing.
+/// The last signal of watch_for_signals() (app/ground/system/interrupt.h) that requires an orderly end; 0:
+/// none. A call does not undertake to end orderly.
 int last_interrupt_signal();
 
 }  // namespace abcal

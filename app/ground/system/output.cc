@@ -37,7 +37,7 @@ struct Streams {
 };
 
 Streams& streams() {
-  static Streams& instance = *new Streams;  // For ever: threads may speak until the very end.
+  static Streams& instance = *new Streams;  // Never deleted: threads may write until the very end.
   return instance;
 }
 
@@ -51,8 +51,8 @@ Room wait_for_room(int descriptor, int patience_ms) {
   return ready > 0 ? Room::kThere : Room::kUnknown;
 }
 
-/// @returns the bytes that were written; fewer than there are after an error (`error`: errno) or without room
-/// (`error`: EAGAIN). `may_wait` is asked whenever there was no room for `patience_ms`.
+/// @returns the number of bytes written; not all after an error (`error`: errno) or without room (`error`:
+/// EAGAIN). `may_wait` is asked whenever no room became free in `patience_ms`.
 template <class MayWait>
 std::size_t write_bytes(int descriptor, std::string_view bytes, int patience_ms, MayWait may_wait,
                         int& error) {

@@ -18,7 +18,7 @@ namespace abcal {
 void reserve_standard_descriptors() noexcept;
 
 /// Text on standard error, as it stands; the caller ends its lines. At most 16 kB are kept. A reader that
-/// does not read costs 1 s once: after that, text is left out until there is room again.
+/// does not read costs 1 s once: after that, text is left out until room is free again.
 void vprint_log(fmt::string_view format, fmt::format_args arguments) noexcept;
 template <typename... Arguments>
 void print_log(fmt::format_string<Arguments...> format, const Arguments&... arguments) noexcept {
@@ -42,8 +42,8 @@ void print_result(fmt::format_string<Arguments...> format, const Arguments&... a
   vprint_result(format, fmt::make_format_args(arguments...));
 }
 
-/// Silences the C++ stream of standard error from now on: for a library that writes its exceptions' messages
-/// there as well.
+/// Silences the C++ stream of standard error from now on: for a library that also writes the messages of its
+/// exceptions to it.
 void silence_standard_error_stream() noexcept;
 
 /// The exit code after all output: `exit_code`, or kExitFailed with words on standard error if that was

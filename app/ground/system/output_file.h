@@ -37,8 +37,8 @@ class OutputFile {
   std::unique_ptr<BeforeSignalEnds> removed_too_;  ///< The temporary file.
 };
 
-/// Waits until a file or folder is on the disk. A file that was renamed is there after a power failure only
-/// once its folder is, too.
+/// Waits until a file or folder is on the disk. A renamed file survives a power failure only once its folder
+/// is on the disk, too.
 /// @param named  in the message, in place of `path`
 /// @throws std::runtime_error
 void flush_to_disk(const std::filesystem::path& path, const std::filesystem::path& named);
@@ -52,9 +52,9 @@ struct RequestedOutput {
   std::filesystem::path path;
 };
 
-/// Why these files may not be written, all problems at once, before anything is: one exists and `force` is
-/// not given, is a folder, is the same as another, or is one of `inputs` (never, `force` or not), or its
-/// folder is not there.
+/// Refuses files that may not be written, with all problems at once, before any is written: one exists and
+/// `force` is not given, is a folder, is the same as another, or is one of `inputs` (never, `force` or not),
+/// or its folder does not exist.
 /// @throws std::invalid_argument
 void require_writable(const std::vector<RequestedOutput>& outputs,
                       const std::vector<std::filesystem::path>& inputs, bool force);

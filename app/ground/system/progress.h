@@ -22,7 +22,7 @@ class ProgressBar {
 
   /// `done` of `total`, with a few words on the current activity. Redraws at most ten times a second.
   void show(double done, double total, std::string_view words = {});
-  /// Prints a line of its own above the bar (also where there is no terminal).
+  /// Prints a separate line above the bar, also on a stream that is no terminal.
   void line(std::string_view text);
   /// Removes the bar.
   void clear();

@@ -39,7 +39,7 @@ inline constexpr Range kNotNegative{0.0, kInfinity};
 /// Source of a default in a written file, so that reading does not take it for a stated value.
 inline constexpr std::string_view kDefaultSource = "default";
 
-/// In place of a number that the program is to find by itself.
+/// The word in place of a number that the program determines itself.
 inline constexpr std::string_view kAuto = "auto";
 
 /// A standard uncertainty and its source; no source: a default.
@@ -82,8 +82,8 @@ class KeyVisitor {
                            const std::string&) {
     number(key, stated.value, {0.0, most});
   }
-  /// A number, or the record of the laboratory that has it in this unit: then the record gives the others,
-  /// too.
+  /// A number, or the record of the laboratory that has it in this unit; the record then also gives the
+  /// uncertainty, coverage factor and source.
   virtual void calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
                           const std::string&) {
     number(key, number_of_key.value, range);
@@ -101,8 +101,8 @@ class KeyVisitor {
   virtual bool is_list(const std::string&) const { return false; }
   /// Whether every form is to be visited where a file has one of several.
   virtual bool shows_every_form() const { return false; }
-  /// An array of tables below the current section: visits each entry; those that are not there yet
-  /// (index >= size) come from the file.
+  /// An array of tables below the current section: visits each entry; new ones (index >= size) come from the
+  /// file.
   virtual void tables(const std::string& key, std::size_t size,
                       const std::function<void(std::size_t)>& visit_entry) = 0;
 

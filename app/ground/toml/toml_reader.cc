@@ -292,8 +292,8 @@ void TomlReader::calibrated(const std::string& key, CalibratedNumber& number_of_
   }
 }
 
-/// The value that `{ from = "RECORD" }` or `{ from = "RECORD", name = "VALUE" }` names; it is called as its
-/// key unless it has a name.
+/// The value that `{ from = "RECORD" }` or `{ from = "RECORD", name = "VALUE" }` names; without `name` its
+/// name is the key.
 std::optional<RecordedValue> TomlReader::recorded(const toml::table& table, const std::string& key,
                                                   const std::string& unit) {
   const std::size_t problems_before = found_.size();

@@ -60,7 +60,7 @@ class TomlReader final : public KeyVisitor {
              const std::vector<std::string>& choices = {});
   /// Whether a key is in the section being visited.
   bool has(const std::string& key) const { return table_ != nullptr && table_->contains(key); }
-  /// Reports a key of the section being visited that must be there, and is not.
+  /// Reports a required key that is missing from the section being visited.
   void add_missing(const std::string& key, const std::string& required);
   /// The line of the section being visited; if it is absent that of the entry it should be in, or 0.
   std::uint32_t line() const { return table_ == nullptr ? entry_line_ : table_->source().begin.line; }
@@ -105,7 +105,7 @@ class TomlReader final : public KeyVisitor {
   std::vector<std::pair<std::uint32_t, Problem>> found_;
 };
 
-/// A TOML file that cannot be parsed at all, or is empty, as a problem; else its table.
+/// Parses a TOML file into its table. A file that cannot be parsed, or is empty, is added to the problems.
 /// @param kind  the expected content: "a bench file; commented examples are in docs/examples"
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems);

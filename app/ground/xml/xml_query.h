@@ -12,7 +12,7 @@
 
 namespace abcal {
 
-/// Text that libxml2 gives away; nothing for a null pointer.
+/// Copies and frees a text that libxml2 allocated; empty for a null pointer.
 std::string owned_text(xmlChar* text);
 
 /// The text below a node, unchanged.
@@ -32,7 +32,7 @@ class XmlQuery {
   bool any(const std::string& path, xmlNode* from = nullptr) const { return !nodes(path, from).empty(); }
   /// Text of each node, unchanged.
   std::vector<std::string> texts(const std::string& path, xmlNode* from = nullptr) const;
-  /// Text of the first node, without white space at its ends; empty if there is none.
+  /// Text of the first node, without white space at its ends; empty if no node is found.
   std::string text(const std::string& path, xmlNode* from = nullptr) const;
   /// Words of the first node, which is a list. @throws std::runtime_error for a list of more than 1 MiB
   std::vector<std::string> words(const std::string& path, xmlNode* from = nullptr) const;

@@ -33,7 +33,7 @@ std::string xml_safe(std::string_view text) {
   constexpr std::string_view kReplacement = "\xEF\xBF\xBD";
   std::string safe;
   while (!text.empty()) {
-    // libxml2 wants to know how many bytes there are at most; it returns the length of the character.
+    // libxml2 takes the largest number of bytes in `length`, and returns the length of the character in it.
     int length = static_cast<int>(std::min<std::size_t>(text.size(), 4));
     const std::string head(text.substr(0, static_cast<std::size_t>(length)));
     const int code = xmlGetUTF8Char(as_xml(head.c_str()), &length);

@@ -49,7 +49,7 @@ std::string xml_text(const XmlDocument& document);
 inline constexpr std::size_t kLargestXml = 12u << 20;
 
 /// Parses a text. Nothing is loaded from the network or from other files; a text with a document type
-/// declaration is refused, so that there are no entities to expand.
+/// declaration is refused, so that no entities can be expanded.
 /// @throws std::runtime_error with the line
 XmlDocument parse_xml(std::string_view text, const std::string& source);
 

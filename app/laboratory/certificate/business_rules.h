@@ -7,14 +7,14 @@
 
 namespace abcal {
 
-/// One thing that is wrong with a certificate, with the place in the XML.
+/// One problem of a certificate, with its place in the XML.
 struct DccProblem {
   std::string
       where;  ///< "/dcc:digitalCalibrationCertificate/dcc:administrativeData/...", with the line if known
   std::string what;
 };
 
-/// Rules for a DCC 3.3.0 that its schema cannot say: the errors of the Schematron of the PTB in its compiled
+/// Rules for a DCC 3.3.0 that its schema cannot express: the errors of the PTB's Schematron in its compiled
 /// form, which are more than those of its source (unreferenced ids, empty elements). All problems at once.
 std::vector<DccProblem> check_business_rules(const XmlDocument& document);
 

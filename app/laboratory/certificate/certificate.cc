@@ -123,7 +123,7 @@ class Inspection {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
                             quoted(limit.unit), "one of " + offered});
       } else if (laboratory_.decision) {
-        // With the U that is stated, which is never below that of the scope.
+        // Decided with the stated U, which is never below that of the scope.
         const double factor = coverage_factor(*quantity);
         const auto cmc = smallest_uncertainty(laboratory_.scope, data.result(), limit.quantity, *quantity);
         const double expanded = certified_uncertainty(factor * quantity->standard_uncertainty, cmc).expanded;
@@ -149,7 +149,7 @@ class Inspection {
  private:
   static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
 
-  /// Four eyes: the persons who measured are taken from the run's own events, not from present statements.
+  /// Two-person rule: the run's own events name the persons who measured, not present statements.
   void check_persons(const IssueFacts& issue, const std::vector<RunOperator>& operators,
                      bool has_registered_equipment) {
     for (const RunOperator& who : operators) {

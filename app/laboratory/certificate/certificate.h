@@ -38,7 +38,7 @@ struct IssueFacts {
 /// One calibration in a certificate, with derived quantities and decisions.
 struct CertifiedRun {
   ReportData data;
-  std::vector<DerivedGroup> derived;  ///< Empty where there is no result.
+  std::vector<DerivedGroup> derived;  ///< Empty without a result.
   std::vector<Decision> decisions;
   bool has_numbers() const { return data.result().verdict != Verdict::kNotUsable; }
 };
@@ -63,7 +63,7 @@ struct Certificate {
   LaboratoryFile laboratory;
   std::optional<IssueFacts> issue;
   std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
-  CertifiedRun run;                      ///< The calibration; as left where there is an as_found.
+  CertifiedRun run;                      ///< The calibration; as left if `as_found` is present.
   std::vector<Shift> shifts;
   std::optional<CertifiedSeries> series;  ///< Over temperature.
   std::vector<RunOperator> operators;     ///< Operators according to the events of the runs.
@@ -74,7 +74,7 @@ struct Certificate {
 
   bool draft() const { return !issue; }
   bool training() const { return issue && issue->training; }
-  /// Names of those who measured.
+  /// Names of the persons who measured.
   std::string measured_by() const;
 };
 
@@ -108,7 +108,7 @@ Certificate make_certificate(CertificateRequest request);
 /// Every run of a certificate: as found, points over temperature, and at the end the calibration.
 std::vector<const ReportData*> runs_of(const Certificate& certificate);
 
-/// From the first start to the last end of runs, UTC; empty where they do not say it.
+/// From the first start to the last end of runs, UTC; empty if not known.
 std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs);
 
 /// Name of the certificate until it is issued.

@@ -310,7 +310,7 @@ Section further_section(const PageSource& from, xmlNode* measurement, std::size_
 }
 
 /// The annex of every calibration, and of a series over temperature.
-/// @param shown  refTypes of the last calibration's results that stand on the customer's pages already
+/// @param shown  refTypes of the last calibration's results that are on the customer's pages already
 void add_annex(const PageSource& from, const std::vector<xmlNode*>& measurements,
                const std::vector<xmlNode*>& series, const std::vector<std::string>& shown,
                Document& document) {

@@ -50,7 +50,7 @@ void compare_with_run(const ReportData& point, const ReportData& run, std::vecto
         {where + ", bench", in_quotes(bench_of(point)), "the bench of the run, " + in_quotes(bench_of(run))});
 }
 
-/// Whether every point is there, once.
+/// Reports points of a series that are missing or repeated.
 void check_whole(const std::vector<PlaceInSeries>& places, std::vector<Problem>& problems) {
   if (places.empty()) return;
   const int of = places.front().of;

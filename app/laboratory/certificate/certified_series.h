@@ -12,7 +12,7 @@ namespace abcal {
 std::vector<Problem> problems_of_series(const std::vector<ReportData>& points, const ReportData& run);
 
 /// The points in the order of their series, and their polynomials.
-/// @param problems  why there are none is added to them
+/// @param problems  receives the reason if no polynomials result
 CertifiedSeries certified_series(std::vector<ReportData> points, std::vector<Problem>& problems);
 
 }  // namespace abcal

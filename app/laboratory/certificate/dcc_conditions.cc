@@ -306,7 +306,7 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
   const CalibrationResult& result = data.result();
   add("abc_estimator", words("Estimator"), words.as_given(result.estimator));
   XmlElement verdict = add_metadatum(list, "abc_verdict", words("Verdict of the analysis"));
-  // The Schematron wants sentences where there is a name.
+  // The Schematron requires sentences in an element with a name.
   Wording why = words.composed(result.why);
   why.text = fmt::format("{}: {}", words.known(to_string(result.verdict)), why.text);
   add_words(verdict, "dcc:description", why);

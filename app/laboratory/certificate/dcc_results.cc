@@ -270,7 +270,7 @@ void add_decision(XmlElement& data, const Words& words, const Decision& decision
   value.value = decision.value;
   value.unit = limit.unit;
   value.degrees_of_freedom = decision.degrees_of_freedom;
-  // U as decided with, also where the scope raised it.
+  // The U of the decision, also if the scope raised it.
   value.standard_uncertainty = decision.expanded_uncertainty / coverage_factor(value);
   add_value(quantity, value, limit.quantity);
   XmlElement metadata = quantity.add("dcc:measurementMetaData");

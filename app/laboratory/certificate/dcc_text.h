@@ -11,7 +11,7 @@ namespace abcal {
 /// Adds an element of a sentence or name of ours, in its language.
 XmlElement add_words(XmlElement& parent, std::string_view element, const Wording& words);
 
-/// Adds the same as text within dcc:data.
+/// Adds such a sentence as text within dcc:data.
 void add_text(XmlElement& parent, const Wording& words);
 
 /// Adds a dcc:metaData with its name.
@@ -20,7 +20,7 @@ XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Word
 /// Adds an element with a name that belongs to no language.
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name);
 
-/// Adds an element whose text must not be empty and is one line; nothing if there is no text.
+/// Adds an element whose text must not be empty and is one line; adds nothing if the text is empty.
 void add_line(XmlElement& parent, std::string_view element, std::string_view text);
 
 /// Adds software with its release as the business rules require it ("v1.0.0") and its version in full.

@@ -106,7 +106,7 @@ class Deriver {
   Inputs inputs_;
 };
 
-/// A direction that is not there has no derivative: its uncertainty is that of its two components together.
+/// A value of zero has no direction, and so no derivative: its uncertainty is that of its two components.
 void mend_zero(DerivedGroup& group, const CalibrationResult& result, double scale) {
   for (std::size_t j = 0; j < 3; ++j) {
     Quantity& value = group.quantities[j].value;

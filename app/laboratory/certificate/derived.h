@@ -71,7 +71,7 @@ std::vector<std::string> names_of_quantities();
 std::optional<Quantity> find_quantity(const CalibrationResult& result,
                                       const std::vector<DerivedGroup>& derived, const std::string& name,
                                       const std::string& unit);
-/// The units in which a quantity is there.
+/// The units in which a quantity is available.
 std::vector<std::string> units_of(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
                                   const std::string& name);
 

@@ -35,7 +35,7 @@ RoundedValue rounded_value(double value, double expanded, std::string_view what)
 /// A stated expanded uncertainty.
 struct CertifiedUncertainty {
   double expanded = 0.0;
-  bool raised = false;  ///< To the smallest that the laboratory's scope has.
+  bool raised = false;  ///< Raised to the smallest of the laboratory's scope.
 };
 
 /// The expanded uncertainty that may be stated: never below the calibration and measurement capability (CMC)
@@ -65,8 +65,8 @@ struct ValueList {
 ValueList list_of(const std::vector<std::string>& labels, const std::vector<Quantity>& quantities,
                   std::optional<Eigen::MatrixXd> covariance = {});
 
-/// Adds the list: expanded uncertainty with its coverage factors, and where there is a covariance, it and the
-/// factor of an ellipsoid of 95 % (JCGM 102:2011, 6.5.2.2).
+/// Adds the list: expanded uncertainty with its coverage factors and, if the list has a covariance, this and
+/// the factor of an ellipsoid of 95 % (JCGM 102:2011, 6.5.2.2).
 /// @throws NumberNotFinite
 void add_value_list(XmlElement& quantity, const ValueList& list);
 
@@ -74,7 +74,7 @@ void add_value_list(XmlElement& quantity, const ValueList& list);
 void add_number_list(XmlElement& quantity, const std::vector<std::string>& labels,
                      const std::vector<std::string>& numbers, const std::string& unit);
 
-/// Adds one value (si:real, or si:hybrid), with expanded uncertainty if there is one.
+/// Adds one value (si:real, or si:hybrid), with expanded uncertainty if it has one.
 /// @throws NumberNotFinite
 void add_value(XmlElement& quantity, const Quantity& value, std::string_view what);
 

@@ -12,7 +12,7 @@
 namespace abcal {
 
 /// The XML of a certificate, checked by the business rules and by the schema.
-/// @param schema  null: by the rules only, for tests
+/// @param schema  null: checked by the rules only, for tests
 /// @throws CertificateRefused  with every violation: nothing is written then
 std::string checked_xml(const Certificate& certificate, const DccSchema* schema);
 
@@ -32,7 +32,7 @@ PreparedCertificate prepare_certificate(const Certificate& certificate, const Dc
 IssuedCertificate keep_certificate(PreparedCertificate prepared, std::string signed_xml,
                                    const DccSchema* schema, const std::string& utc);
 
-/// Issues a certificate: its XML, signed if there is a key, is kept in RUN.results, where it can be neither
+/// Issues a certificate: its XML, signed if a key is given, is kept in RUN.results, where it can be neither
 /// changed nor removed unnoticed. From then on every report of the run carries it unchanged.
 /// @param certificate  with its issue facts
 /// @throws CertificateRefused, RunFileError (number given already, run replaced already),
@@ -41,7 +41,7 @@ IssuedCertificate keep_certificate(PreparedCertificate prepared, std::string sig
 IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
                                     const std::optional<SigningKey>& key, const std::string& utc);
 
-/// The certificate that holds for an item of a run (1 where it has one): the last that was issued.
+/// The certificate that holds for an item of a run (from 1): the last that was issued.
 std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item);
 
 }  // namespace abcal

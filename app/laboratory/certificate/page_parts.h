@@ -29,7 +29,7 @@ struct PageValue {
   std::string label, value, expanded, factor, unit;
 };
 
-/// The values below a dcc:quantity. @param own  of a hybrid: in the unit that is not of the SI; else in SI
+/// The values below a dcc:quantity. @param own  those of a hybrid in the non-SI unit; else in SI units
 std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool own = false);
 
 /// Whether a quantity is given in a unit outside the SI as well.
@@ -57,7 +57,7 @@ std::vector<Section> temperature_sections(const PageSource& from, xmlNode* serie
 std::vector<Section> temperature_annex(const PageSource& from, xmlNode* series);
 
 /// The sections of the annex.
-/// @param shown  refTypes of the results that stand on the customer's pages already
+/// @param shown  refTypes of the results that are on the customer's pages already
 std::vector<Section> annex_sections(const PageSource& from, xmlNode* measurement,
                                     const std::vector<std::string>& shown);
 

@@ -37,7 +37,7 @@ DccSchema schema_of(const CertificateFiles& files) {
 ReportData gather_same_item(const char* option, const std::filesystem::path& path, const ReportData& of,
                             Clock::UtcTime now) {
   const auto count = static_cast<int>(items_of_file(path));
-  if (count == 1) return gather_report(path, now, 1);  // What is of another item is refused later, in full.
+  if (count == 1) return gather_report(path, now, 1);  // Another item is refused later, with all reasons.
   for (int item = 1; item <= count; ++item) {
     const std::map<std::string, std::string> labels = RunFile::load(path, item).header.labels;
     const bool is_same =

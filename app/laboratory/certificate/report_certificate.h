@@ -24,9 +24,10 @@ struct CertificateFiles {
 /// @throws std::invalid_argument as DccSchema
 DccSchema schema_of(const CertificateFiles& files);
 
-/// Reads another run of an item: of several items, the one with the maker, model and serial number of `of`.
-/// @param option  of the command line that names the run, for messages
-/// @throws as gather_report(); std::invalid_argument where none of several is this item
+/// Reads another run of an item. If it has several items, takes the one with the maker, model and serial
+/// number of `of`.
+/// @param option  command-line option that names the run, for messages
+/// @throws as gather_report(); std::invalid_argument if none of several is this item
 ReportData gather_same_item(const char* option, const std::filesystem::path& path, const ReportData& of,
                             Clock::UtcTime now);
 

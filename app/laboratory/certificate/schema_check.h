@@ -14,7 +14,7 @@ namespace abcal {
 class DccSchema {
  public:
   /// @param folder  contains v3.3.0/dcc.xsd, directly or in xsd/, and the schemas that it imports
-  /// @throws std::invalid_argument  if there is none, or it cannot be read, with libxml2's words
+  /// @throws std::invalid_argument  if it is missing or cannot be read, with libxml2's message
   explicit DccSchema(const std::filesystem::path& folder);
   DccSchema(DccSchema&&) noexcept;
   DccSchema& operator=(DccSchema&&) noexcept;

@@ -29,8 +29,8 @@ std::string certificate_in(const std::string& xml) {
   return pem + "-----END CERTIFICATE-----\n";
 }
 
-/// Whether there is one signature, and it is of all but itself. One of a part would let the rest be
-/// exchanged.
+/// Whether exactly one signature exists and covers the whole document except itself. A signature of a part
+/// would allow the rest to be exchanged.
 bool signs_all(const std::string& signed_xml) {
   const XmlDocument document = parse_xml(signed_xml, "certificate");
   const XmlQuery query(document.get());

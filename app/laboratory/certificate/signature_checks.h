@@ -21,8 +21,8 @@ std::vector<IntegrityCheck> check_certificate_signatures(const std::vector<Issue
                                                          const std::vector<PersonKey>& keys);
 
 /// The X.509 certificate (PEM) of a signature that was made elsewhere: `signed_xml` is `xml`, byte for byte,
-/// with a signature of all of it at its end that verifies with this certificate. The caller must judge who
-/// its owner is.
+/// with a signature of the whole document at its end that verifies with this certificate. The caller must
+/// identify its owner.
 /// @throws std::invalid_argument  if it is anything else; ProgramMissing, RunInterrupted
 std::string certificate_of_signature(const std::string& xml, const std::string& signed_xml);
 
@@ -33,7 +33,7 @@ std::vector<IntegrityCheck> check_printed_certificate(const std::filesystem::pat
                                                       const std::vector<IssuedCertificate>& certificates,
                                                       const std::vector<PersonKey>& keys);
 
-/// Where the detached signature of a file is.
+/// Path of the detached signature of a file.
 std::filesystem::path signature_path_of(const std::filesystem::path& file);
 
 }  // namespace abcal

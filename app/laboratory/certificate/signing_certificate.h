@@ -29,7 +29,7 @@ CertificateSubject subject_of(const std::string& certificate_pem);
 
 /// The detached signature of any bytes (CMS, DER; RFC 5652), with the certificate inside. Anyone verifies it:
 /// openssl cms -verify -binary -inform DER -in FILE.p7s -content FILE -CAfile CERT.pem -out /dev/null
-/// @throws std::invalid_argument if key and certificate are none, or do not belong together
+/// @throws std::invalid_argument if key or certificate is invalid, or they do not belong together
 std::string sign_detached(std::string_view bytes, const SigningIdentity& by);
 
 /// Result of checking a detached signature.
@@ -40,7 +40,7 @@ struct DetachedSignature {
 };
 
 /// Checks that the signature belongs to the bytes and was made by the key of its own certificate. The caller
-/// must judge who the owner of that certificate is.
+/// must identify the owner of that certificate.
 DetachedSignature check_detached(std::string_view bytes, std::string_view signature_der);
 
 }  // namespace abcal

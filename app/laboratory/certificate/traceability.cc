@@ -73,8 +73,8 @@ std::string stated_serial_number(const ReportData& data, const std::string& role
       role == "accelerometer" && data.is_one_of_several() ? fmt::format("item-{}", data.item) : role));
 }
 
-/// An instrument whose calibration is part of the traceability must say which one it is.
-/// @param section  of the bench file, where its serial number can be stated
+/// Requires the serial number of an instrument whose calibration is part of the traceability.
+/// @param section  section of the bench file in which the serial number can be stated
 void require_serial_number(const ReportData& data, const std::string& role, const std::string& section,
                            const std::string& where, std::vector<Problem>& problems) {
   if (!serial_numbers_of(data, role).empty()) return;
@@ -82,7 +82,7 @@ void require_serial_number(const ReportData& data, const std::string& role, cons
                       fmt::format("[{}] serial_number in the bench file before the run", section)});
 }
 
-/// Angle and voltage were measured by instruments that say who they are.
+/// The quantities that need a calibration. Stage and voltmeter must have serial numbers.
 std::vector<Chain> chains_of(const ReportData& data, const std::string& which,
                              std::vector<Problem>& problems) {
   std::vector<Chain> chains{{"angle", serial_numbers_of(data, "stage")}, {"gravity"}, {"temperature"}};
@@ -108,7 +108,7 @@ bool names_number(std::string_view text, std::string_view number) {
            (at < text.size() && kJoins.find(text[at]) != std::string_view::npos && is_word(next));
   };
   for (std::size_t at = text.find(number); at != std::string_view::npos; at = text.find(number, at + 1)) {
-    // Before the beginning at - 1 is beyond the end: nothing is there.
+    // At the beginning, at - 1 wraps around to a position beyond the end, which has no character.
     if (!goes_on(at - 1, at - 2) && !goes_on(at + number.size(), at + number.size() + 1)) return true;
   }
   return false;
@@ -120,7 +120,7 @@ struct CalibrationValue {
   double value = 0.0, expanded_uncertainty = 0.0, coverage_factor = 2.0;
 };
 
-/// A calibration that a run kept from the register when it began.
+/// A calibration that a run stored from the register when it began.
 struct StoredCalibration {
   Equipment equipment;
   std::vector<CalibrationValue> values;
@@ -176,8 +176,8 @@ std::vector<CalibrationValue> values_of(const ReportData& data, const Equipment&
   return {};
 }
 
-/// Local gravity is that of the equipment for gravity: its source names it, and the value is the
-/// calibration's.
+/// Requires that local gravity is that of the equipment for gravity: its source names this equipment, and its
+/// value is that of the calibration.
 void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Date day,
                    const std::string& where, std::vector<Problem>& problems) {
   const LocalGravity& g_loc = data.record.g_loc;
@@ -186,7 +186,7 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
     return;
   }
   const auto holds = [&](const Equipment& one) { return one.quantity == "gravity" && holds_on(one, day); };
-  // Where none holds, which is said already, it is still to be one of them.
+  // If none holds, which is reported already, g_loc is compared with all of them.
   const bool one_holds = std::any_of(laboratory.equipment.begin(), laboratory.equipment.end(), holds);
   std::vector<std::string> known, stated;
   for (const Equipment& one : laboratory.equipment) {

@@ -28,7 +28,7 @@ std::string serial_number_without_equipment(const std::vector<Equipment>& equipm
 /// or as the bench file stated them for one that reports none. Empty: neither.
 std::string serial_numbers_of(const ReportData& data, const std::string& role);
 
-/// Whether they are those that the bench file stated.
+/// Whether serial_numbers_of() gives those that the bench file stated.
 bool is_serial_number_stated(const ReportData& data, const std::string& role);
 
 /// The equipment that a run stored from the register when it began; empty for runs without a register.

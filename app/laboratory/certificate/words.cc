@@ -40,7 +40,7 @@ std::size_t placeholders(std::string_view sentence) {
 
 /// A sentence of a table with places for values, as the pieces between them.
 struct Template {
-  std::vector<std::string_view> between;  ///< One more than there are values.
+  std::vector<std::string_view> between;  ///< Their number is that of the values plus one.
   std::size_t letters = 0;
   std::string_view translation;
 };
@@ -106,7 +106,7 @@ std::optional<std::vector<std::string_view>> values_in(std::string_view text, co
   return values;
 }
 
-/// Without a word of its own: a number, a symbol, a unit, a quoted name, a key of a file.
+/// Whether a text has no word to translate: a number, a symbol, a unit, a quoted name, a key of a file.
 bool is_wordless(std::string_view text) {
   constexpr std::size_t kLongestSymbol = 3;
   if (text.starts_with('[') || (text.starts_with('"') && text.ends_with('"'))) return true;
@@ -130,8 +130,8 @@ std::string with_decimal_mark(std::string_view text, const std::string& mark) {
   return marked;
 }
 
-/// Whether a value goes on over the end of a sentence; a list may, which a template has between ": " and ";
-/// ".
+/// Whether a value extends over the end of a sentence. A list, which a template has between ": " and "; ",
+/// may do so.
 bool holds_sentences(const std::vector<std::string_view>& values, const Template& made) {
   for (std::size_t i = 0; i < values.size(); ++i)
     if (values[i].find("; ") != std::string_view::npos && !made.between[i + 1].starts_with(';')) return true;

@@ -37,7 +37,7 @@ class Words {
   /// stays unchanged, and then the text is marked as being in no language.
   Wording composed(std::string_view english) const;
 
-  /// The sentence in the language; itself where the file does not have it.
+  /// The sentence in the language; unchanged if the file does not have it.
   std::string known(std::string_view english) const;
 
   /// Codes of the available languages: "en" and those with a file.

@@ -35,7 +35,7 @@ struct FreeContext {
 };
 using Context = std::unique_ptr<xmlSecDSigCtx, FreeContext>;
 
-/// An encrypted key is refused, because no person is there to type a passphrase.
+/// Refuses an encrypted key, because no person can be asked for a passphrase.
 int no_passphrase(char*, int, int, void*) {
   return -1;
 }

@@ -20,7 +20,7 @@ struct ShownChart {
     std::string found, set_utc, lifted_by, lifted_utc, reason;
     bool holds = false;
   };
-  /// Measured and not judged yet.
+  /// A run that is measured but not judged yet.
   struct Waiting {
     std::string file, date, run_sha256, told_by;
   };
@@ -34,7 +34,7 @@ struct ShownChart {
   std::vector<JudgedPoint> judged() const;
 };
 
-/// @param stream  where it is printed, for colours
+/// @param stream  the stream that it is printed on, for colours
 std::string chart_text(const ShownChart& chart, std::FILE* stream);
 
 /// Schema abcal.chart/1.

@@ -78,7 +78,7 @@ CheckBaseline baseline_from_json(const std::string& text);
 /// A later run as a chart sees it.
 struct ChartValue {
   IntrinsicValues values;
-  bool begins_anew = false;  ///< Averages and sums begin with it.
+  bool begins_anew = false;  ///< Averages and sums restart with it.
 };
 using JudgedPoint = std::array<JudgedValue, 9>;
 

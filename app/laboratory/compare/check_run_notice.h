@@ -7,10 +7,10 @@
 
 namespace abcal {
 
-/// What is to be said at the end of a run of a check standard: that its chart waits for it, with the command.
-/// Tells the register (environment variable ABCAL_REGISTER), too, so that `abcal lab chart show` lists the
-/// run. Nothing without a register or without a chart of this item on this bench. A register that cannot be
-/// reached now is something to be said: the run is whole without it.
+/// Sentences for the end of a run of a check standard: its chart waits for the run, with the command. Reports
+/// the run to the register (environment variable ABCAL_REGISTER), too, so that `abcal lab chart show` lists
+/// it. Empty without a register or without a chart of this item on this bench. If the register cannot be
+/// reached, a sentence says so and nothing is thrown: the run is complete without it.
 /// @param login  as in find_operator()
 std::vector<std::string> check_run_notices(const EndedRun& run, const std::string& login);
 

@@ -43,7 +43,7 @@ bool same_readings(const RunRecord& first, const RunRecord& second) {
          });
 }
 
-/// Whether two results are of one measurement. Items of one run of which each stands once are not.
+/// Whether two results are of one measurement. Different items of one loaded run are not.
 bool of_one_measurement(const ComparedResult& first, const ComparedResult& second) {
   if (first.run && first.run == second.run) return first.item_of_run == second.item_of_run;
   if (first.sha256 == second.sha256 && !first.sha256.empty()) return true;
@@ -52,7 +52,8 @@ bool of_one_measurement(const ComparedResult& first, const ComparedResult& secon
          same_readings(*first.record, *second.record);
 }
 
-/// A measurement that counts twice agrees with itself and makes the mean look better than it is.
+/// Refuses a measurement that is named twice: it agrees with itself, and the uncertainty of the mean would be
+/// too small.
 void require_different_measurements(const std::vector<ComparedResult>& results) {
   std::vector<std::string> problems;
   for (std::size_t i = 1; i < results.size(); ++i) {
@@ -78,7 +79,7 @@ Eigen::Matrix<double, 12, 1> factors_of(const ComparedResult& result) {
   return factors;
 }
 
-/// Two items of one run whose numbers are those of its common fit.
+/// Whether two results are items of one run whose numbers are those of its common fit.
 bool in_one_common_fit(const ComparedResult& first, const ComparedResult& second) {
   return first.run && first.run == second.run && first.item_of_run != second.item_of_run &&
          first.of_common_fit() && second.of_common_fit();
@@ -239,7 +240,7 @@ std::optional<RandomEffectsMean> mean_with_type_b(const ResultsComparison& compa
   try {
     return random_effects_mean(values, covariance);
   } catch (const std::exception&) {
-    return std::nullopt;  // Without uncertainties there is no weighted mean.
+    return std::nullopt;  // A weighted mean requires uncertainties.
   }
 }
 

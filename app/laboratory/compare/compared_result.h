@@ -41,7 +41,7 @@ struct ComparedResult {
   std::optional<IntrinsicValues> type_a;
   bool with_correlations = true;          ///< False: only the diagonal of the covariance is known.
   std::optional<Eigen::Matrix3d> matrix;  ///< Absent for the norm estimator.
-  Covariance12 output_covariance;         ///< For matrix and offset; read only if there is a matrix.
+  Covariance12 output_covariance;         ///< For matrix and offset; valid only if `matrix` is present.
   std::optional<RunRecord> record;        ///< Record that it was computed from; absent for a certificate.
   /// The run that it comes from, and the number of its item, from 1; null for a certificate. Two results of
   /// one run have the same run.
@@ -56,7 +56,7 @@ struct ComparedResult {
 
   /// Whether its numbers are those of the common fit of its run's items.
   bool of_common_fit() const;
-  /// What the joint fit of its run says of it. Only of the joint estimator.
+  /// Its part of the joint fit of its run. Only for a result of the joint estimator.
   const TrayItemResult& joint() const;
 };
 
@@ -66,11 +66,11 @@ class CompareError : public std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
-/// The results that a person names: certificates, run files and CSVs, which their content decides; FILE#K is
-/// item K of a run with several (a file of that very name comes first); one such run alone is all its items.
-/// Each run is analysed once.
+/// Loads the named results: certificates, run files and CSVs, distinguished by their content; FILE#K is item
+/// K of a run with several (an existing file with this whole name takes precedence); one such run alone gives
+/// all its items. Each run is analysed once.
 /// @param estimator  for runs and CSVs; empty: the one that each of them declares
-/// @param item  of each run that is named without #K, from 1; 0: the only one
+/// @param item  the item of each run that is named without #K, from 1; 0: the only one
 /// @throws as load_items() and read_certificate(); std::runtime_error for a record that gives no usable
 ///         result, with the reason; CompareError for a run of several items without #K if it is not alone,
 ///         and for an item that it does not have

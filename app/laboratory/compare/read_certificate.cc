@@ -214,7 +214,7 @@ void read_correlations(const XmlQuery& certificate, xmlNode* measurement, Number
   }
 }
 
-/// Covariance of these labels from one list that holds all of them; nothing if there is no such list.
+/// Covariance of these labels from one list that holds all of them; nothing if no list does.
 template <std::size_t N>
 std::optional<Eigen::MatrixXd> covariance_of(const Numbers& numbers,
                                              const std::array<std::string, N>& labels) {

@@ -41,7 +41,7 @@ IssueFacts facts_of(const IssueAsked& asked, const std::string& now_utc) {
   return facts;
 }
 
-/// The persons of the register take the place of those of the laboratory file.
+/// The persons of the register, which replace those of the laboratory file.
 std::vector<Person> persons_of(lab::Register& opened) {
   std::vector<Person> persons;
   for (const lab::Person& from : opened.persons()) {
@@ -53,7 +53,7 @@ std::vector<Person> persons_of(lab::Register& opened) {
   return persons;
 }
 
-/// The scope of the register takes the place of that of the laboratory file.
+/// The scope of the register, which replaces that of the laboratory file.
 std::vector<ScopeLimit> scope_of(lab::Register& opened) {
   std::vector<ScopeLimit> scope;
   for (const lab::ScopeEntry& entry : opened.scope())
@@ -89,7 +89,7 @@ std::optional<std::string> record_kept_certificate(Registered& registered, const
   return std::nullopt;
 }
 
-/// The register names an item so; no two items of a run have the same name.
+/// The name of an item in the register; no two items of a run have the same.
 std::string item_name(const ReportData& data) {
   return fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
                      data.label("item.serial_number"));

@@ -16,24 +16,24 @@ namespace abcal {
 struct IssueAsked {
   std::string run;                   ///< Path of the run file.
   int item = 0;                      ///< With several items: the item, from 1; 0: the run has one.
-  std::string number;                ///< Without a register; with one: none.
+  std::string number;                ///< Required without a register; unused with one, which gives it.
   std::string measured_by;           ///< Empty: the operators according to the events of the run.
-  std::string approved_by;           ///< Without a register.
-  std::string date;                  ///< "2026-03-01"; today, UTC.
-  std::string replaces, reason;      ///< The certificate that this one amends, and why.
-  std::string key, key_certificate;  ///< PEM files of the approver; not signed.
+  std::string approved_by;           ///< Required without a register; unused with one.
+  std::string date;                  ///< "2026-03-01"; empty: today, UTC.
+  std::string replaces, reason;      ///< The certificate that this one amends, and why; empty: none.
+  std::string key, key_certificate;  ///< PEM files of the approver; empty: not signed.
   CertificateFiles certificate;
 };
 
-/// The register that gives the number, and who approves.
+/// The register that gives the number, and the approver.
 struct Registered {
   lab::Register opened;
   lab::LoggedIn approver;
 };
 
 struct IssueOutcome {
-  /// Nothing was issued now: the certificate was kept with the run, and the register knows it now.
-  std::string known_now;  ///< Its number; empty: one was issued.
+  /// Number of a certificate that was stored with the run before and is now registered; nothing was issued.
+  std::string known_now;  ///< Empty: a certificate was issued.
   IssuedCertificate issued;
   bool training = false, is_signed = false, verified = false;
   std::string operators;  ///< Operators in words.
@@ -42,7 +42,7 @@ struct IssueOutcome {
 
 /// Issues the certificate of a complete run: checks it, takes its number from the register, keeps it with the
 /// run, and registers it. Every issue, from the command line or the console, uses this function.
-/// @param registered  null: there is no register
+/// @param registered  null: no register
 /// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument
 IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now);
 
@@ -65,7 +65,7 @@ AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered
 IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
                           Registered& registered, Clock::UtcTime now);
 
-/// Whether the approver may approve: has the right, and is not one of those who measured.
+/// Whether the approver may approve: has the right, and is not an operator of the run.
 /// @return the reason why not, in words; absent: may approve
 std::optional<std::string> why_not_approve(const lab::Person& approver, const StoredRun& run);
 

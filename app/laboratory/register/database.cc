@@ -19,11 +19,11 @@ namespace {
 
 /// How long a program waits for others that write the same SQLite file, in seconds.
 constexpr int kPatienceS = 120;
-/// How often it looks whether they are done: a change takes a few milliseconds.
+/// Interval between its attempts: a change takes a few milliseconds.
 constexpr std::chrono::milliseconds kLookAgain{5};
 
-/// The factory of one of SOCI's backends, whose library is loaded now. It is looked for where the system
-/// keeps its libraries, never in the working folder (SOCI's own search looks there).
+/// The factory of one of SOCI's backends, whose library is loaded now. Only the system's libraries are
+/// searched, not the working folder, which SOCI's own search includes.
 const soci::backend_factory& backend(const std::string& name) {
   const std::string library =
       fmt::format("libsoci_{}.so.{}.{}", name, SOCI_VERSION / 100000, SOCI_VERSION / 100 % 1000);
@@ -170,8 +170,8 @@ Database make_empty(const std::string& location) {
 
 namespace {
 
-/// Begins a transaction of SQLite that may write. SQLite's own waiting prefers those who came last (they look
-/// more often): under load one program may wait for ever. Here all look equally often.
+/// Begins a transaction of SQLite that may write. SQLite's own waiting prefers latecomers, which retry more
+/// often: under load one program may wait for ever. Here all retry equally often.
 void begin_immediate(Database& database) {
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(kPatienceS);
   database.execute("pragma busy_timeout=0");

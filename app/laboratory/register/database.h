@@ -68,7 +68,7 @@ class DatabaseTransaction {
 };
 
 /// A database without a register at a location; an SQLite file is made, for this user only.
-/// @throws RegisterError if there is a register or such a file
+/// @throws RegisterError if a register or such a file exists
 Database make_empty(const std::string& location);
 
 /// A location as messages show it: "postgresql://user:secret@host/x" without the secret.

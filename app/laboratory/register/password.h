@@ -12,10 +12,10 @@ enum class PasswordCost {
 };
 
 /// The Argon2id hash of a password with its salt and cost, as text.
-/// @throws std::runtime_error if there is not enough memory
+/// @throws std::runtime_error if memory is insufficient
 std::string hash_password(std::string_view password, PasswordCost cost = PasswordCost::kUsual);
 
-/// Whether a password is the one of a hash.
+/// Whether a hash was made from this password.
 bool is_password(std::string_view password, const std::string& hash);
 
 /// 256 random bits in hexadecimal.

@@ -105,7 +105,7 @@ struct CheckPoint {
   std::string date;  ///< Date of the run, UTC.
   std::string values_json;
   bool outside = false;
-  std::string found;         ///< Properties outside, in words; empty if there are none.
+  std::string found;         ///< Properties outside, in words; empty: none.
   bool begins_anew = false;  ///< Average and sums restart with it, since a block was lifted before it.
   std::string added_by, utc;
 };
@@ -115,7 +115,7 @@ struct CheckPoint {
 struct CheckRunNotice {
   std::string check_standard;
   std::string run_sha256;
-  std::string file;  ///< Where it was then.
+  std::string file;  ///< Path at the time of the report.
   std::string date;  ///< Date of the run, UTC.
   std::string told_by, utc;
 };

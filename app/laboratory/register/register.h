@@ -119,12 +119,12 @@ class Register {
   CheckPoint add_check_point(const LoggedIn& by, CheckPoint point, std::size_t points_before,
                              const BenchBlock& block, Clock::UtcTime now);
   std::vector<CheckPoint> check_points(const std::string& check_standard);
-  /// Notes that a run of a check standard ended; once for each run and chart.
+  /// Stores that a run of a check standard ended; once for each run and chart.
   void tell_check_run(const LoggedIn& by, CheckRunNotice notice, Clock::UtcTime now);
   /// Runs that were reported to the register and that no chart has judged, in the order of their dates.
   std::vector<CheckRunNotice> waiting_check_runs(const std::string& check_standard);
   std::vector<BenchBlock> blocks();
-  /// Lifts the block of a chart. @throws RegisterError if there is none
+  /// Lifts the block of a chart. @throws RegisterError if the chart has none
   void lift_block(const LoggedIn& by, const std::string& check_standard, const std::string& reason,
                   Clock::UtcTime now);
   /// Adds an entry; all its problems are reported at once.
@@ -147,7 +147,7 @@ class Register {
 
   // ---- Evidence
   std::vector<AuditEntry> audit();
-  /// Whether the audit is whole, every row is as the audit says, and every number was given once.
+  /// Whether the audit is complete, every row agrees with it, and every number was given once.
   std::vector<RegisterFinding> verify();
 
   // ---- Copies

@@ -19,7 +19,7 @@ constexpr const char* kRelative = "relative";
 constexpr const char* kAbsolute = "absolute";
 constexpr std::array kScopeQuantities{"sensitivity", "angle", "offset"};
 
-/// Everything that is wrong with an entry of the scope.
+/// All problems of an entry of the scope.
 std::vector<std::string> problems_of(const ScopeEntry& entry) {
   std::vector<std::string> problems;
   if (entry.identity.empty()) problems.emplace_back("it has no name");

@@ -15,7 +15,7 @@
 namespace abcal {
 namespace {
 
-/// What the register holds of calibrations, read once.
+/// The register's equipment and calibrations, read once.
 struct Records {
   std::string today;
   std::vector<lab::Equipment> equipment;

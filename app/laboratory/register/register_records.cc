@@ -50,7 +50,7 @@ std::vector<CalibratedValue> values_of(const std::string& text) {
   return values;
 }
 
-/// Everything that is wrong with a calibration.
+/// All problems of a calibration.
 std::vector<std::string> problems_of(const Calibration& calibration, const std::string& today) {
   std::vector<std::string> problems;
   if (calibration.certificate.empty()) problems.emplace_back("the number of its certificate is not given");

@@ -42,7 +42,7 @@ nlohmann::ordered_json rows_of(Database& database, const TableDescription& table
   return rows;
 }
 
-/// An error in another's JSON becomes one of ours.
+/// Parses a backup. @throws RegisterError for any other text
 nlohmann::json parse_backup(const std::string& text) {
   nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
   if (json.is_discarded() || !json.is_object() || json.value("schema", "") != kBackupSchema ||

@@ -82,7 +82,7 @@ void ChamberWatch::give_up(const std::string& detail, bool unreachable) {
   watching_ = false;
   unreachable_ = unreachable;
   trouble_ = detail;
-  // Not kLinkLost: a run waits for the ports of its own instruments, and the stage is to stop now.
+  // Not kLinkLost, for which a run would wait until the port is back: the stage must stop now.
   throw InstrumentError("chamber " + info_.model, unreachable ? Fault::kNoReply : Fault::kNotReady, detail);
 }
 
@@ -110,7 +110,7 @@ ChamberInfo ChamberWatch::identify() {
 }
 
 void ChamberWatch::set_temperature(double degc, std::optional<double> rate_k_per_min) {
-  // Before it is sent: whether a chamber that does not answer took it is not known.
+  // Noted before it is sent: a chamber that does not answer may have accepted it.
   set_degc_ = degc;
   const auto rate = info_.can_ramp ? rate_k_per_min : std::nullopt;
   reached([&](ThermalChamber& chamber) {

@@ -13,30 +13,30 @@
 
 namespace abcal {
 
-/// The chamber of a bench, whose driver can be made again, and which is looked at while a run measures: an
-/// alarm, an open door or silence ends the run, whose end halts the stage. All in the measuring thread: the
-/// watched stage and accelerometer look at it between their own calls.
+/// The chamber of a bench, whose driver can be made again, and which is monitored while a run measures: an
+/// alarm, an open door or silence ends the run, which halts the stage. Everything happens in the measuring
+/// thread: the watched stage and accelerometer call poll() before their own calls.
 class ChamberWatch {
  public:
   ChamberWatch(Replaceable<ThermalChamber>::Make make, Clock& clock, double poll_s);
 
-  /// Asks what it is; from then on poll() reads it.
+  /// Asks for its identity; from then on poll() reads it.
   ChamberInfo identify();
   const ChamberInfo& info() const { return info_; }
 
-  /// Sets and starts it. What was set last is remembered, for messages.
+  /// Sets the temperature and starts the chamber. The last set point is kept for messages.
   void set_temperature(double degc, std::optional<double> rate_k_per_min);
-  /// Hold: nothing; 23 degC; or 23 degC first, then off (`warm_enough`: it is there, so off at once).
+  /// Hold: does nothing. Off with `warm_enough`: switches off. Otherwise: sets 23 degC.
   void apply(ChamberPolicy policy, bool warm_enough);
   ChamberReading read();
   /// Takes effect at the next poll().
   void want_pause(bool paused) { wanted_pause_ = paused; }
-  /// At once, without an error: the run may be ending because of the chamber. @return false: it did not
+  /// Ends a pause at once. Never throws: the run may be ending because of the chamber. @return false: failed
   bool end_pause() noexcept;
 
   /// Reads it if the last reading is `poll_s` old. @throws InstrumentError
   void poll();
-  /// The driver is made anew, its port opened again. @throws InstrumentError
+  /// Makes the driver again, opens its port again, and identifies the chamber. @throws InstrumentError
   void reconnect();
   std::optional<ChamberReading> last() const { return last_; }
   std::optional<double> last_set_degc() const { return set_degc_; }
@@ -62,7 +62,7 @@ class ChamberWatch {
   bool unreachable_ = false;
 };
 
-/// A stage and an accelerometer that let the chamber be looked at between their calls. Halting never does.
+/// A stage and an accelerometer that poll the chamber before their calls, but never before a halt.
 /// @{
 std::unique_ptr<RotationStage> watched_stage(std::unique_ptr<RotationStage> stage, ChamberWatch& watch);
 std::unique_ptr<Accelerometer> watched_accelerometer(std::unique_ptr<Accelerometer> accelerometer,

@@ -14,7 +14,7 @@ void GuardedChamber::set_temperature(double degc, std::optional<double> rate_k_p
   try {
     if (const auto recipe = chamber_->rest_recipe(policy_))
       handover_.ensure([&] { return std::vector{*recipe}; });
-  } catch (const InstrumentError&) {  // The set point that follows fails with the reason.
+  } catch (const InstrumentError&) {  // set_temperature() below fails with the reason.
   } catch (const std::exception& error) {
     if (!std::exchange(told_missing_, true))
       print_warning(

@@ -10,7 +10,7 @@
 namespace abcal {
 
 /// A chamber that hands its port to a guard before its first set point, so that it is left as its policy says
-/// if this program dies. That there is no guard is a warning and no error.
+/// if this program dies. A missing guard is a warning, not an error.
 class GuardedChamber final : public ThermalChamber {
  public:
   GuardedChamber(std::unique_ptr<ThermalChamber> chamber, PortHandover handover, ChamberPolicy policy)

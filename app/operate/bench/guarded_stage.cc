@@ -11,7 +11,7 @@ namespace abcal {
 
 void GuardedStage::have_guard() noexcept {
   try {
-    // A port that is not open: the motion that follows fails with the reason.
+    // If the port is not open, the motion that follows fails with the reason.
     if (!handover_.ensure([this] { return stage_->halt_recipes(); })) return;
     note(
         fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if "

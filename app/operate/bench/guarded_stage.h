@@ -11,11 +11,11 @@
 
 namespace abcal {
 
-/// Kind of the events that say whether a guard stands behind a stage.
+/// Kind of the events that report whether a guard protects a stage.
 inline constexpr std::string_view kGuardEvent = "guard";
 
-/// A stage on one port that hands the port to a guard before its first motion. That there is no guard is an
-/// event and no error: the stage is then as safe as without.
+/// A stage on one port that hands the port to a guard before its first motion. A missing guard is an event,
+/// not an error: the stage works without it.
 class GuardedStage final : public RotationStage {
  public:
   GuardedStage(std::unique_ptr<RotationStage> stage, PortHandover handover)

@@ -30,7 +30,7 @@ using Json = nlohmann::json;
 /// A packet of the socket; recipes are a few hundred bytes each.
 constexpr std::size_t kLongestPacket = 64 * 1024;
 constexpr int kAnswerTimeMs = 5000;
-/// The guard tries so long to have the halt acknowledged.
+/// Time in which the guard tries to have a halt acknowledged.
 constexpr std::chrono::seconds kHaltTime{20};
 
 // Bytes of a recipe need not be UTF-8: MessagePack, not text.
@@ -100,7 +100,7 @@ bool send_packet(int socket, const std::vector<std::uint8_t>& packet, int descri
 
 struct Packet {
   std::vector<std::uint8_t> bytes;
-  int descriptor = -1;  ///< -1: none came with it.
+  int descriptor = -1;  ///< -1: the packet had none.
 };
 
 /// Waits for the next packet. @return nothing at the end of the connection
@@ -172,7 +172,7 @@ void HaltGuard::collect() {
 int HaltGuard::generation() {
   if (socket_ >= 0) {
     char byte = 0;
-    // It says nothing unless it was given a port: an end of its own is its death.
+    // The guard sends nothing unless it was given a port: an end of the connection means that it has died.
     if (::recv(socket_, &byte, 1, MSG_DONTWAIT | MSG_PEEK) == 0) collect();
   }
   if (socket_ < 0) start();
@@ -211,7 +211,7 @@ std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock) {
     constexpr char kTaken = 1;
     (void)::send(socket, &kTaken, 1, MSG_NOSIGNAL);
   }
-  // Each port has a thread: one that does not answer must not keep the other axis moving.
+  // One thread for each port: a port that does not answer must not delay the halt of the other axis.
   std::vector<std::string> words(held.size());
   {
     std::vector<std::jthread> threads;

@@ -24,23 +24,23 @@ struct GuardedPort {
 class HaltGuard {
  public:
   HaltGuard() = default;
-  /// The stage is at rest: the guard lets go of the ports and ends, which is waited for.
+  /// Tells the guard that the stage is at rest, and waits until it has released the ports and ended.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
   HaltGuard& operator=(const HaltGuard&) = delete;
 
-  /// Hands a port over, in place of one of the same name; starts the guard if there is none.
-  /// @throws std::runtime_error (ProgramMissing among them): nobody would halt the stage
+  /// Hands a port over, which replaces one of the same name; starts the guard if none runs.
+  /// @throws std::runtime_error (also ProgramMissing): no guard would halt the stage
   void hold(const GuardedPort& port, int descriptor);
 
-  /// How often a guard was started; grows if the last one has died. A new one holds nothing.
+  /// Number of guards started so far. Starts one if none runs; a new guard holds no port.
   int generation();
   pid_t process() const { return process_; }
 
  private:
   void start();
   void end();
-  /// Of a guard that has ended or is about to: closes the socket and waits for the process.
+  /// Closes the socket of a guard that has ended or is about to, and waits for its process.
   void collect();
 
   int socket_ = -1;
@@ -48,9 +48,9 @@ class HaltGuard {
   int generation_ = 0;
 };
 
-/// The guard itself: holds what comes over `socket` until its other end is closed, then halts the axes and
-/// leaves the chamber unless it was told that they are at rest.
-/// @return what happened to each port, in words; nothing: the owner ended in order.
+/// The guard itself: holds the ports received over `socket` until its other end is closed. Then, unless it
+/// was told that the stage is at rest, it halts the axes and leaves the chamber by the recipes.
+/// @return the outcome for each port, in words; empty: the owner ended in order.
 std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock);
 
 }  // namespace abcal

@@ -42,7 +42,7 @@ namespace abcal {
 namespace {
 
 /// Opens a port. The guard of a run that was killed holds the stage's port until it has halted the axes,
-/// which takes it a second; the next run may come sooner.
+/// which takes about a second; a run that starts sooner waits for it.
 std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port,
                                                    const wire::SerialSettings& settings, Clock& clock) {
   using namespace std::chrono_literals;
@@ -59,7 +59,7 @@ std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port,
   }
 }
 
-/// Of a halt without a driver, beyond two replies.
+/// Time allowed for a halt without a driver, in addition to two reply times.
 constexpr std::chrono::seconds kHaltMargin{1};
 
 AxisMounting mounting(const StageAxisConfig& axis) {
@@ -113,7 +113,7 @@ std::optional<std::string> typed_line() {
   for (;;) {
     if (interrupt_token().stop_requested()) return std::nullopt;
     pollfd input{STDIN_FILENO, POLLIN, 0};
-    const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
+    const int ready = ::poll(&input, 1, 200);  // ms, between two checks for an interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     char c = 0;
     if (::read(STDIN_FILENO, &c, 1) <= 0) return std::nullopt;
@@ -131,7 +131,7 @@ std::unique_ptr<ThermalChamber> chamber_at_terminal(const ManualChamberDriver& d
                      chamber_settings(config));
 }
 
-/// The use of a stream by one driver; the next driver on the same port gets another.
+/// One driver's handle on a stream; the next driver on the same port gets another handle.
 class SharedStream final : public wire::ByteStream {
  public:
   explicit SharedStream(std::shared_ptr<wire::ByteStream> stream) : stream_(std::move(stream)) {}
@@ -175,7 +175,7 @@ class Opener {
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
-      // Before it can move: no signal ends the program without the halt of what is real.
+      // Before the stage can move: signals then end the program only after the halt of a real stage.
       if (driver.connections == 0 || port.port != kSimulated) end_orderly_at_signals();
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
       if (driver.connections > 0) {
@@ -183,7 +183,7 @@ class Opener {
           streams.push_back(open(connection, driver.serial));
       }
       parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
-      if (driver.connections == 0) continue;  // Nothing of ours to halt it by.
+      if (driver.connections == 0) continue;  // abcal has no stream to halt it by.
       if (wire::ReopenableStream* real = opened_.at(port.name).port)
         parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), handover(port.name, *real));
       const std::lock_guard lock(halt_mutex_);
@@ -195,19 +195,19 @@ class Opener {
     return std::make_unique<MountedStage>(std::move(stage), mountings);
   }
 
-  /// Halts what is on the ports of the stage without a driver, from any thread.
+  /// Halts all axes on the ports of the stage without a driver. May be called from any thread.
   HaltReport halt_ports() {
     std::map<std::string, HaltPort, std::less<>> ports;
     {
       const std::lock_guard lock(halt_mutex_);
       ports = halt_ports_;
     }
-    // All are halted before any is queried: one that is gone must not keep the other moving.
+    // All are halted before any is queried: a lost port must not delay the halt of the other axis.
     for (const auto& [name, port] : ports) {
       for (const HaltRecipe& recipe : port.recipes) {
         try {
           port.stream->write(recipe.end_partial + recipe.stop);
-        } catch (const InstrumentError&) {  // Gone: carry_out() finds it so, too.
+        } catch (const InstrumentError&) {  // A lost port: carry_out() reports it.
         }
       }
     }
@@ -240,7 +240,7 @@ class Opener {
   }
 
   std::unique_ptr<ThermalChamber> chamber() {
-    end_orderly_at_signals();  // It is left as its policy says, where it is real.
+    end_orderly_at_signals();  // So that a real chamber is left as its policy says.
     if (const auto* by_hand = driver_called(manual_chamber_drivers(), config_.chamber.driver))
       return chamber_at_terminal(*by_hand, config_.chamber);
     const ChamberDriver& driver = find_driver(chamber_drivers(), config_.chamber.driver);
@@ -266,14 +266,14 @@ class Opener {
  private:
   struct Opened {
     std::shared_ptr<wire::ByteStream> stream;
-    wire::ReopenableStream* port = nullptr;  ///< At the end of `stream`; null: nothing real to be opened.
+    wire::ReopenableStream* port = nullptr;  ///< Innermost part of `stream`; null: no real port.
   };
 
   PortHandover handover(const std::string& name, const wire::ReopenableStream& port) const {
     return {guard_, name, [&port] { return port.descriptor(); }};
   }
 
-  /// The bytes to and from an instrument; the port is opened again if it was gone.
+  /// The stream to an instrument; a port that was lost is opened again.
   std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) {
     auto found = opened_.find(port.name);
     if (found == opened_.end()) {
@@ -285,8 +285,8 @@ class Opener {
     return std::make_unique<SharedStream>(found->second.stream);
   }
 
-  /// A recording, a real port, or simulated firmware in this process; with the faults and the delays that the
-  /// bench file asks for.
+  /// Opens a recording, a real port, or simulated firmware in this process, with the faults and the delays of
+  /// the bench file.
   Opened open_first(const InstrumentPort& port, const SerialDefaults& defaults) {
     if (streams_.replay) return {streams_.replay(port.name, clock_)};
     const bool simulated = port.port == kSimulated;
@@ -323,7 +323,7 @@ class Opener {
   const BenchStreams streams_;
   SimWorlds worlds_;
   Clock& clock_;
-  /// Before the ports: it lets go of them when they are closed here.
+  /// Declared before the ports: it releases them after they are closed here.
   std::shared_ptr<HaltGuard> guard_ = std::make_shared<HaltGuard>();
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
 
@@ -444,7 +444,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   bench.environment = opener->environment();
   bench.reconnector = std::move(reconnector);
   bench.stage = std::move(stage);
-  // A person who turns a stage by hand cannot be halted, and jumping time needs no second thread.
+  // No watchdog if a person turns the stage, who cannot be halted, or if time jumps.
   if (!bench.simulated_time && !turned_by_hand)
     bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
   if (config.chamber.present()) {

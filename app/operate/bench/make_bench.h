@@ -32,11 +32,10 @@ struct BenchItem {
 /// first.
 struct Bench {
   std::unique_ptr<Clock> clock;
-  std::shared_ptr<sim::SimBench> world;  ///< The simulated world of the stage; null where all is real.
-  std::unique_ptr<ChamberWatch>
-      chamber;  ///< Null: there is none. Stage and accelerometer let it be looked at.
+  std::shared_ptr<sim::SimBench> world;      ///< The simulated world of the stage; null where all is real.
+  std::unique_ptr<ChamberWatch> chamber;     ///< Polled by the stage and the first item; null: none.
   std::unique_ptr<RotationStage> stage;      ///< In protocol angles, inside the bench's travel.
-  std::vector<BenchItem> items;              ///< One or more: all that the bench file does not leave out.
+  std::vector<BenchItem> items;              ///< One or more: those that the bench file does not leave out.
   std::unique_ptr<Reconnector> reconnector;  ///< Opens unplugged ports again.
   std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
   bool simulated_time = false;                     ///< Everything is simulated, or replayed.
@@ -47,8 +46,8 @@ struct Bench {
   BenchItem& first();
 };
 
-/// How the byte streams of a bench are replaced or wrapped. `role`
-/// is InstrumentPort::name. All must outlive the bench.
+/// Functions that replace or wrap the byte streams of a bench. `role` is InstrumentPort::name. All must
+/// outlive the bench.
 struct BenchStreams {
   using Stream = std::unique_ptr<wire::ByteStream>;
 
@@ -62,7 +61,7 @@ struct BenchStreams {
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
 /// `simulated_clock`, if given, is the clock if everything is simulated, instead of one that jumps.
-/// One of several items whose port cannot be opened is missing; one at least is open.
+/// With several items, one whose port cannot be opened is missing; at least one is open.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
                  std::unique_ptr<Clock> simulated_clock = nullptr);

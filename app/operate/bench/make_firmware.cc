@@ -50,28 +50,28 @@ Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort&
   settings.sign = {stage.x.sign, stage.z.sign};
   settings.zero = {stage.x.zero, stage.z.zero};
   if (!stage.serial_number.empty()) settings.serial_number = stage.serial_number;
-  // Of two devices on one line: "12345/67890", as the driver gives it.
+  // The driver gives the serial numbers of two devices on one line as "12345/67890".
   if constexpr (requires { settings.z_serial_number; }) {
     if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
       settings.z_serial_number = settings.serial_number.substr(slash + 1);
       settings.serial_number.resize(slash);
     }
   }
-  if constexpr (requires { settings.baud; }) {  // Not on a network or a USB of its own.
+  if constexpr (requires { settings.baud; }) {  // A network or native USB link has none.
     if (const auto baud = line_baud(port)) settings.baud = *baud;
   }
   return settings;
 }
 
-/// A model that a driver's firmware can be, and what it changes of the settings.
+/// A model that a driver's firmware can represent, and its changes to the settings.
 template <class Settings>
 struct ModelProfile {
   std::string_view name;
   void (*apply)(Settings&);
 };
 
-/// Makes the settings those of `model`; empty: as they are.
-/// @throws std::invalid_argument for one that is not known
+/// Applies the changes of `model` to the settings; empty: none.
+/// @throws std::invalid_argument for an unknown model
 template <class Settings, std::size_t kCount>
 void apply_model(Settings& settings, const std::string& model, std::string_view key,
                  const std::array<ModelProfile<Settings>, kCount>& profiles) {
@@ -90,7 +90,7 @@ std::shared_ptr<sim::Firmware> pi_gcs_firmware(const BenchConfig& config, const 
   auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage, port);
   if (!port.address.empty()) settings.address = std::stoi(port.address);
   using Profile = ModelProfile<sim::PiGcsSettings>;
-  // Which commands each of them knows beyond these is [unverified against a device].
+  // Further differences between the commands of these models are [unverified against a device].
   static const std::array kModels{Profile{"C-884", [](sim::PiGcsSettings&) {}},
                                   Profile{"C-863",
                                           [](sim::PiGcsSettings& s) {
@@ -262,8 +262,8 @@ std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, c
   return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
 }
 
-/// The connections to one controller: the first makes it, the others belong to the last one that was made in
-/// this world.
+/// A connection to a controller: the first one creates the controller, further ones belong to the controller
+/// created last in this world.
 std::shared_ptr<sim::Firmware> newport_xps_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
   static std::mutex mutex;
@@ -380,7 +380,7 @@ const std::map<std::string, MakeFirmware>& firmwares() {
 
 namespace {
 
-/// Tells the world of an item of its faults and changes, and of all faults of the stage.
+/// Schedules the faults and changes of an item, and all faults of the stage, in its world.
 void schedule(const BenchConfig& config, int item, sim::SimBench& world) {
   for (const FaultConfig& fault : config.faults) {
     if (item_of_instrument(fault.instrument).value_or(item) != item) continue;

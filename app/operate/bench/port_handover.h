@@ -18,10 +18,10 @@ class PortHandover {
   PortHandover(std::shared_ptr<HaltGuard> guard, std::string port, std::function<int()> descriptor)
       : guard_(std::move(guard)), port_(std::move(port)), descriptor_(std::move(descriptor)) {}
 
-  /// Hands it over, with what `recipes` gives, unless the guard that lives has it. A port that is not open is
-  /// not handed over.
+  /// Hands the port over, with the recipes that `recipes` returns, unless the running guard has it already. A
+  /// port that is not open is not handed over.
   /// @return whether it changed hands
-  /// @throws std::runtime_error as HaltGuard::hold(); what `recipes` throws
+  /// @throws std::runtime_error as HaltGuard::hold(); exceptions of `recipes`
   template <class Recipes>
   bool ensure(const Recipes& recipes) {
     if (guard_->generation() == held_by_) return false;

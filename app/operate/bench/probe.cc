@@ -14,17 +14,17 @@ namespace {
 
 using std::chrono::milliseconds;
 
-// An instrument that streams is recognised in this time, before anything is sent.
+// Listening time before anything is sent; an instrument that streams is recognised within it.
 constexpr Clock::Duration kListens = milliseconds(100);
 // An instrument that is at rest answers within 100 ms, and a line of 60 characters takes 60 ms at 9600 Bd.
 constexpr Clock::Duration kAnswers = milliseconds(300);
-// Of what only streams, once a second or faster.
+// Listening time for instruments that only stream, at least once a second.
 constexpr Clock::Duration kStreams = milliseconds(1200);
 constexpr std::size_t kMostHeard = 65536;
 
 using AxisNames = decltype(StageSettings::axis_names);
 
-/// A driver, of whichever kind, as far as a probe needs it.
+/// A driver of a stage, accelerometer or chamber, reduced to the parts that a probe needs.
 struct Candidate {
   std::string name;
   SerialDefaults serial;
@@ -32,7 +32,7 @@ struct Candidate {
   bool stage;
   bool generic;
   std::size_t ports;
-  /// `axes`: of a stage, those that it is asked for.
+  /// Identifies the instrument; `axes` are the axes that a stage is asked for.
   std::function<ProbeAnswer(std::unique_ptr<wire::ByteStream>, Clock&, const AxisNames& axes)> identify;
   /// StageDriver::axes_on_line
   std::function<std::vector<std::string>(std::unique_ptr<wire::ByteStream>, Clock&)> axes_on_line{};
@@ -86,13 +86,13 @@ bool same(const SerialDefaults& a, const SerialDefaults& b) {
   return a.baud == b.baud && a.rts_cts == b.rts_cts;
 }
 
-/// What an instrument that is not this driver's makes of its questions: silence, or an answer that it does
-/// not know.
+/// Whether an error means that the instrument belongs to another driver: it was silent, or its answer is not
+/// that of this driver's instrument.
 bool is_another_instrument(const InstrumentError& error) {
   return error.fault() != Fault::kCannotOpen && error.fault() != Fault::kLinkLost;
 }
 
-/// "MAKER,MODEL,SERIAL,FIRMWARE", of an instrument for which one port is not enough.
+/// Identity from "MAKER,MODEL,SERIAL,FIRMWARE", for an instrument whose driver needs several ports.
 ProbeAnswer from_identity(const Candidate& candidate, std::string_view heard) {
   ProbeAnswer found{candidate.name, candidate.stage, "", "", "", ""};
   found.ports = candidate.ports;
@@ -108,7 +108,7 @@ ProbeAnswer from_identity(const Candidate& candidate, std::string_view heard) {
   return found;
 }
 
-/// The first complete line of text in the received bytes; empty if there is none.
+/// The first printable line of text in the received bytes; empty if no line is.
 std::string first_words(std::string_view heard) {
   for (const std::string_view line : pieces::split(heard, '\n')) {
     const std::string_view text = pieces::trimmed(line);
@@ -149,7 +149,8 @@ class Probe {
   }
 
  private:
-  /// The candidate that knows what was heard. One that takes whatever looks like its instrument comes last.
+  /// The candidate that recognises the received bytes; null: none. `generic` selects the drivers for any
+  /// instrument of a kind, which are tried last.
   const Candidate* knowing(const SerialDefaults& serial, std::string_view heard, bool generic) const {
     const auto found = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& each) {
       return each.generic == generic && same(each.serial, serial) && each.recognition->knows &&
@@ -158,7 +159,7 @@ class Probe {
     return found == candidates_.end() ? nullptr : &*found;
   }
 
-  /// Listens, and asks each question of these settings once, until something is recognised.
+  /// Listens, and asks each question at these serial settings once, until an instrument is recognised.
   std::string ask(const SerialDefaults& serial) {
     const std::unique_ptr<wire::ByteStream> stream = open_(serial);
     std::string heard;

@@ -12,16 +12,16 @@
 
 namespace abcal {
 
-/// Who answered on a port.
+/// The instrument that answered on a port.
 struct ProbeAnswer {
   std::string driver;  ///< Name in the registry, for `driver` in a bench file; empty: none fits.
   bool stage = false;  ///< Else an accelerometer, or a chamber.
   std::string maker, model, serial_number, firmware;
-  std::string said{};     ///< What it said to a question, where no driver fits; printable.
+  std::string said{};     ///< First line that it sent, if no driver fits; printable.
   std::size_t ports = 1;  ///< How many such instruments the driver needs.
   bool chamber = false;   ///< A thermal chamber.
-  /// Of a stage whose controllers may share a line: all axes on it, as `axis` names them in a bench file. The
-  /// answer is of those that have the first two.
+  /// All axes on the line of a stage whose controllers may share one, as `axis` names them in a bench file.
+  /// The identity is that of the controllers of the first two.
   std::vector<std::string> axes{};
 
   std::string role() const { return stage ? "stage" : chamber ? "chamber" : "accelerometer"; }
@@ -34,13 +34,13 @@ using ProbeOpener = std::function<std::unique_ptr<wire::ByteStream>(const Serial
 /// settings of each, and lets the driver whose instrument answers identify it; nothing is written to the port
 /// after that but by this driver. Nothing moves and no setting is stored; a sensor that streams may be
 /// stopped.
-/// @param trying gets a word on what is tried.
-/// @return nothing if nothing answers that is known.
+/// @param trying  called with the name of each driver that is tried
+/// @return nothing if no driver fits and no line of text was received
 /// @throws InstrumentError kCannotOpen if the port cannot be opened at all, kLinkLost.
 std::optional<ProbeAnswer> probe_port(const ProbeOpener& open, Clock& clock,
                                       const std::function<void(const std::string&)>& trying);
 
-/// The same of a port by its name.
+/// As above, for a port given by its name.
 std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,
                                       const std::function<void(const std::string&)>& trying);
 

@@ -11,7 +11,7 @@
 
 namespace abcal {
 
-/// What probing one port came to.
+/// The outcome of probing one port.
 struct Probed {
   std::string port;
   std::optional<ProbeAnswer> answer;
@@ -19,7 +19,7 @@ struct Probed {
 };
 
 /// Asks all ports at once, each in a thread of its own (probe_port()).
-/// @param trying  called from these threads with the port and what is tried
+/// @param trying  called from these threads with the port and the driver that is tried
 std::vector<Probed> probe_ports(
     const std::vector<std::string>& ports,
     const std::function<void(const std::string& port, const std::string& driver)>& trying);
@@ -27,7 +27,7 @@ std::vector<Probed> probe_ports(
 /// The ports that are free and that this user may use.
 std::vector<std::string> ports_to_ask(const std::vector<wire::PortInfo>& ports);
 
-/// For people.
+/// One line on the outcome, for a person.
 std::string in_words(const Probed& probed);
 nlohmann::ordered_json probed_json(const Probed& probed);
 nlohmann::ordered_json port_json(const wire::PortInfo& port);

@@ -102,7 +102,7 @@ void StageWatchdog::home(StageAxis axis) {
   throw_if_halted();
   {
     const std::lock_guard lock(mutex_);
-    motion_.told_to_move(axis, clock_.now());  // From before it is: a refusal is no motion, but none is lost.
+    motion_.told_to_move(axis, clock_.now());  // Before the call: a motion is never missed.
   }
   heard([&] { stage_->home(axis); });
 }

@@ -25,7 +25,7 @@ class MotionWatch {
   void stands_still(StageAxis axis) { moving_[index(axis)] = false; }
   void forget() { moving_ = {}; }
 
-  /// It may be moving, and it has not answered for longer than the patience.
+  /// Whether it may be moving and has not answered for longer than the patience.
   bool overdue(Clock::Instant now) const;
 
  private:
@@ -34,10 +34,10 @@ class MotionWatch {
   Clock::Instant heard_;
 };
 
-/// A stage under a watchdog: where it may be moving and the controller has not answered for `patience` (it is
-/// silent, or this program hangs: a blocked terminal, a disk that does not answer), a thread of its own halts
-/// it. The patience is never shorter than a reply of the stage's controller may take. After that every call,
-/// the one under way included, throws kStalled with this first cause until the stage is identified again.
+/// A stage under a watchdog: if it may be moving and the controller has not answered for `patience` (it is
+/// silent, or this program hangs: a blocked terminal, a disk that does not answer), a separate thread halts
+/// it. The patience is never shorter than the longest reply time of the controller. After the halt every
+/// call, also the one in progress, throws kStalled with this first cause until the stage is identified again.
 /// Each halt is an event (take_events()).
 class StageWatchdog final : public RotationStage {
  public:

@@ -13,7 +13,7 @@ namespace {
 
 using wire::WireEvent;
 
-/// A row of no stream: a person stopped the run here.
+/// Role of the row that marks the stop of a run; it belongs to no stream.
 constexpr std::string_view kOperator = "operator";
 constexpr char kStopped = '^';
 

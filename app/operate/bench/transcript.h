@@ -19,8 +19,8 @@ namespace abcal {
 /// bench.
 class Transcript {
  public:
-  /// @param stop Once it is requested the first row that follows says so: from there on two threads talk to
-  /// the stage, and their order is chance.
+  /// @param stop  its request is marked by a row: from then on two threads write to the stage, in an order
+  /// that is left to chance
   explicit Transcript(std::stop_token stop) : stop_(std::move(stop)) {}
 
   /// For make_bench().
@@ -48,7 +48,7 @@ class Transcript {
   bool stop_noted_ = false;
 };
 
-/// What a Transcript took down, ready to be replayed.
+/// The bytes that a Transcript recorded, ready to be replayed.
 class RecordedWire {
  public:
   /// @throws RunFileError if the run has no transcript, or one that cannot be understood.
@@ -57,9 +57,9 @@ class RecordedWire {
   /// For make_bench(). May be asked once.
   BenchStreams streams();
 
-  /// The recorded run was stopped by a person; what followed is not replayed.
+  /// Whether the recorded run was stopped by a person; bytes after the stop are not replayed.
   bool stopped_by_operator() const { return stopped_; }
-  /// A stream was asked for more than was recorded of it.
+  /// Whether a stream was read beyond the end of its recording.
   bool has_ended() const { return ended_; }
 
  private:

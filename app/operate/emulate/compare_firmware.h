@@ -10,9 +10,9 @@ namespace abcal {
 
 /// How the simulated instrument's answer agrees with the real one's.
 enum class Likeness {
-  kEqual,          ///< To the byte; also: both are silent.
-  kNumbersDiffer,  ///< Text whose numbers only differ: other positions, readings, serial numbers.
-  kSameLength,     ///< Binary of the same length.
+  kEqual,          ///< Equal bytes, or both are silent.
+  kNumbersDiffer,  ///< Text in which only numbers differ: other positions, readings, serial numbers.
+  kSameLength,     ///< Binary data of the same length.
   kDifferent,
   kOnlyReal,       ///< The simulated one is silent.
   kOnlySimulated,  ///< The real one was silent.
@@ -31,7 +31,7 @@ struct ComparedExchange {
 };
 
 /// Gives a simulated instrument the bytes of a logged host at their times, and compares its answers with
-/// those of the real one. Writes of the host that follow each other within 5 ms without an answer are one.
+/// those of the real one. Writes of the host within 5 ms of each other without an answer count as one.
 /// @param start  the time of the simulated instrument at which the log begins
 std::vector<ComparedExchange> compare_firmware(const WireLog& log, sim::Firmware& firmware,
                                                Clock::Instant start);

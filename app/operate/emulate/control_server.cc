@@ -98,7 +98,7 @@ std::string EmulatorControl::answer(const std::string& line) {
         if (link == links_.end())
           throw std::invalid_argument(fmt::format("this bench has no \"{}\"", fault.instrument));
         sim::WireFault of_the_wire = wire_fault(fault, world_.start()).value();
-        // Commands are counted from now on, because a client does not know how many there were.
+        // Commands are counted from now on, because a client does not know the number of earlier ones.
         if (of_the_wire.at_write) *of_the_wire.at_write += link->second->writes();
         link->second->add(std::move(of_the_wire));
       }

@@ -110,7 +110,7 @@ class Checker {
     findings_.push_back({grade, of_item_ + what, std::move(found), std::move(advice)});
   }
 
-  /// @return whether all answer as they should
+  /// @return whether all accelerometers answer
   bool check_accelerometers() {
     bool all = true;
     identities_.items.clear();
@@ -152,7 +152,7 @@ class Checker {
     return false;
   }
 
-  /// Its own limits are said; nothing is set.
+  /// Reports the chamber's own limits; sets nothing.
   void check_chamber() {
     const ChamberInfo info = bench_.chamber->identify();
     require_serial_number("chamber", info.model, info.serial_number, config_.chamber.settings.serial_number);
@@ -283,7 +283,7 @@ class Checker {
     const TemporaryFile path;
     RunFile file = RunFile::create(path.path, make_header(quick, identities_, plan, *bench_.clock));
     if (options_.listener) {
-      RunBeganEvent began;  // Without a file: it is removed after the check.
+      RunBeganEvent began;  // Without a file, which is removed after the check.
       began.plan = plan;
       options_.listener(began);
     }
@@ -332,8 +332,8 @@ class Checker {
   const BenchConfig& config_;
   const CheckOptions& options_;
   bool failed_ = false;
-  std::string of_item_;     ///< item_words() of the item that is looked at.
-  AccelerometerInfo info_;  ///< What the accelerometer that is looked at reports.
+  std::string of_item_;     ///< item_words() of the item under test.
+  AccelerometerInfo info_;  ///< The identity that its accelerometer reported.
   Identities identities_;
   std::vector<Finding> findings_;
 };

@@ -20,7 +20,7 @@ struct Finding {
   Grade grade = Grade::kGood;
   std::string what;    ///< "stage", "travel", "noise at rest", ...
   std::string found;   ///< In words, with units.
-  std::string advice;  ///< What to do; empty: nothing.
+  std::string advice;  ///< Recommended action; empty: none.
 };
 
 /// "good", "warning", "problem", "left out"

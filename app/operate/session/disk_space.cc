@@ -15,7 +15,7 @@ constexpr double kBytesOfAngle = 1500.0;           // Its row, its row of the pl
 constexpr double kBytesOfRecordedReading = 200.0;  // The bytes of the wire and the row that holds them.
 constexpr double kBytesOfRecordedSecond = 5000.0;  // Questions to a moving stage.
 constexpr double kBytesAlways = 8e6;               // Header, the write-ahead log (at most 4 MB), results.
-/// Below this multiple of the estimate there is a warning.
+/// Free space below this multiple of the estimate gives a warning.
 constexpr std::uintmax_t kAmple = 3;
 
 std::string in_megabytes(std::uintmax_t bytes) {

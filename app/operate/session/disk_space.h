@@ -9,20 +9,20 @@
 
 namespace abcal {
 
-/// What a run needs on the disk, estimated before it begins.
+/// Figures from which the disk space of a run is estimated before it begins.
 struct DiskNeed {
-  std::size_t angles = 0;       ///< Of the plan.
+  std::size_t angles = 0;       ///< Angles of the plan.
   int readings_per_angle = 0;   ///< Readings that are averaged.
-  double duration_s = 0.0;      ///< Of the whole run.
+  double duration_s = 0.0;      ///< Duration of the whole run.
   double rate_hz = 0.0;         ///< Readings per second.
-  bool with_recording = false;  ///< Every byte of the instruments is kept too.
+  bool with_recording = false;  ///< Every byte of the instruments is stored too.
 };
 
 /// Bytes that the files of a run may take: the run file, its write-ahead log and the results.
 std::uintmax_t estimated_run_bytes(const DiskNeed& need);
 
-/// Compares the free space with what a run needs.
-/// @param free_bytes  Nothing: not known, and no reason to refuse.
+/// Compares the free space with the estimate for a run.
+/// @param free_bytes  nothing: not known, and the run is not refused
 /// @return a warning if less than three times the estimate is free.
 /// @throws std::runtime_error if less than the estimate is free; its text names found and required.
 std::optional<std::string> check_disk_space(const std::filesystem::path& run_file, const DiskNeed& need,

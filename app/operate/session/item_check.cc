@@ -117,7 +117,7 @@ ItemCheck check_mounted_item(Bench& bench, const BenchConfig& config, const Item
   ItemCheck check;
   check.findings = check_bench(bench, config, {true, {}, stop});
   std::erase_if(check.findings, [](const Finding& finding) { return finding.what == "signs and axes"; });
-  if (!check.passed()) return check;  // What does not answer is not asked again.
+  if (!check.passed()) return check;  // After a problem nothing more is asked.
   try {
     check.reported = bench.first().accelerometer->identify().serial_number;
     const std::vector<std::string> simulated = simulated_instruments(config);

@@ -10,27 +10,27 @@ namespace abcal {
 
 /// The item that was on the bench before.
 struct ItemBefore {
-  std::string serial_number;  ///< As people call it; empty: none is known.
-  std::string reported;       ///< As the instrument itself said.
+  std::string serial_number;  ///< Serial number as people know it; empty: not known.
+  std::string reported;       ///< Serial number that the instrument reported.
 };
 
-/// Whether an item is the one that was asked for, and is mounted as the bench file says.
+/// Whether an item is the requested one, and is mounted as the bench file states.
 struct ItemCheck {
   std::vector<Finding> findings;
   std::string reported;  ///< The serial number that the instrument reports; may be empty.
 
-  /// Nothing speaks against starting.
+  /// Whether no finding is a problem.
   bool passed() const;
 };
 
-/// Asks the accelerometer who it is, and reads it at rest, where the stage stands: its identity, its noise,
-/// and whether gravity is along the axis that `mounting` says. Nothing moves.
+/// Identifies the accelerometer and reads it at rest, at the present position of the stage: its identity, its
+/// noise, and whether gravity is along the axis that `mounting` states. Nothing moves.
 /// @param config  with the item that is expected
 /// @throws RunInterrupted; an instrument that fails is a finding
 ItemCheck check_mounted_item(Bench& bench, const BenchConfig& config, const ItemBefore& before,
                              const std::stop_token& stop);
 
-/// Judges the identity. @param simulated  the instrument reports the same whatever is mounted
+/// Judges the identity. @param simulated  the instrument reports the same number whichever item is mounted
 Finding judge_identity(const std::string& wanted, const std::string& reported, const ItemBefore& before,
                        bool simulated);
 

@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// How many positions of the reversal end a level_plan().
+/// Number of reversal positions at the end of a level_plan().
 constexpr std::size_t kReversalPositions = 4;
 
 /// The angles of `abcal level`: appendix A's spin about Z at Theta_X = 0, then the four positions that free

@@ -11,20 +11,20 @@
 
 namespace abcal {
 
-/// What the readings of a levelling say.
+/// The result of a levelling.
 struct Levelling {
   TiltOfZ tilt;
   XZero x_zero;
 };
 
 /// The sensitivity by which a levelling is evaluated (R per g_loc): the nominal one of the output's unit.
-/// Nothing: the unit says none.
+/// Nothing: the unit implies none.
 std::optional<Eigen::Matrix3d> nominal_sensitivity(const std::string& output_unit, double g_loc_mps2);
 
 /// Evaluates the complete readings of level_plan().
 Levelling evaluate_levelling(const StoredRun& run, const Eigen::Matrix3d& sensitivity);
 
-/// For `level_file` in a bench file.
+/// The file for `level_file` in a bench file.
 LevelFile level_file_of(const Levelling& levelling, const StoredRun& run);
 
 }  // namespace abcal

@@ -25,7 +25,7 @@
 namespace abcal {
 namespace {
 
-/// Most notes that wait to be stored, and most events of persons.
+/// Largest numbers of notes and of persons' events that wait to be stored.
 constexpr std::size_t kMostNotes = 20;
 constexpr std::size_t kMostPersonEvents = 200;
 
@@ -81,8 +81,8 @@ std::filesystem::path replay_path(std::filesystem::path run) {
       run.replace_filename(fmt::format("{}-replay{}", run.stem().string(), run.extension().string())));
 }
 
-/// What an interrupted run holds already.
-/// @param of_items  the run as it is for each item that goes on
+/// The part of an interrupted run that is measured already.
+/// @param of_items  the run of each item that is continued
 RunProgress progress_of(const std::vector<StoredRun>& of_items) {
   const StoredRun& first = of_items.front();
   RunProgress so_far;
@@ -92,7 +92,7 @@ RunProgress progress_of(const std::vector<StoredRun>& of_items) {
     if (!each.dwells.empty() && each.dwells.front().temperature_degc)
       so_far.first_temperatures_degc[each.item] = *each.dwells.front().temperature_degc;
   }
-  // All of them have the same angles, in the same order.
+  // All items have the same angles, in the same order.
   for (std::size_t i = first.measured.size(); i-- > 0;) {
     RunProgress::LastAngle angle{first.measured[i], {}};
     for (const StoredRun& each : of_items)
@@ -104,7 +104,7 @@ RunProgress progress_of(const std::vector<StoredRun>& of_items) {
   return so_far;
 }
 
-/// A run as it is for each of its items that was not dropped.
+/// The run of each item that was not dropped; of item 1 if all were.
 std::vector<StoredRun> load_items_in_run(const std::filesystem::path& path) {
   std::vector<StoredRun> of_items;
   for (const ItemProgress& item : RunFile::load(path).items)
@@ -113,7 +113,7 @@ std::vector<StoredRun> load_items_in_run(const std::filesystem::path& path) {
   return of_items;
 }
 
-/// What was dropped stays dropped: its port is not opened.
+/// Items that were dropped stay dropped: their ports are not opened.
 void leave_out_dropped(const std::vector<ItemProgress>& items, BenchConfig& config) {
   for (const ItemProgress& item : items) {
     const auto index = static_cast<std::size_t>(item.k) - 1;
@@ -127,7 +127,7 @@ std::string item_name(const BenchConfig& config, int k, const std::string& repor
   return name.empty() ? fmt::format("item {}", k) : name;
 }
 
-/// Of several items all of them, also those that were dropped before an interruption.
+/// Summaries of several items, including those dropped before an interruption; empty for a single item.
 /// @param resumed  null: the run is a new one
 std::vector<ItemSummary> item_summaries(const BenchConfig& config, const Identities& identities,
                                         const StoredRun* resumed) {
@@ -153,7 +153,7 @@ std::vector<ItemSummary> item_summaries(const BenchConfig& config, const Identit
   return items;
 }
 
-/// The runs of those items that are connected.
+/// The runs of the items that are present.
 std::vector<StoredRun> present_items(const std::vector<StoredRun>& of_items, const Identities& identities) {
   std::vector<StoredRun> present;
   for (const StoredRun& each : of_items) {
@@ -163,12 +163,12 @@ std::vector<StoredRun> present_items(const std::vector<StoredRun>& of_items, con
   return present;
 }
 
-/// Nothing where nobody is to be told: then no event costs anything.
+/// Null if [notify] names no recipient: events then take no time.
 std::unique_ptr<Notifier> notifier_of(const BenchConfig& config) {
   return config.notify.anybody() ? std::make_unique<Notifier>(config.notify) : nullptr;
 }
 
-/// What was written before the first angle, with what belongs to items 2, 3, ...
+/// The header as written before the first angle, with the facts of items 2, 3, ...
 RunHeader whole_header(const std::filesystem::path& path, const StoredRun& first) {
   RunHeader header = first.header;
   const auto role_of = [](int item) { return fmt::format("item-{}", item); };
@@ -259,7 +259,7 @@ void MeasuringSession::notify(const SessionEvent& event) const {
   if (options_.listener) options_.listener(event);
   if (!notifier_) return;
   notifier_->send(event, format_utc(RealClock().utc_now()));
-  // At the end there is no other event at which a failure could be told.
+  // The last event waits for its message, because no later event could report a failure.
   constexpr std::chrono::seconds kLongestAtEnd{12};
   const bool is_over = std::holds_alternative<FinishedEvent>(event);
   for (const std::string& why : notifier_->failures(is_over ? kLongestAtEnd : std::chrono::seconds(0)))
@@ -322,7 +322,7 @@ void MeasuringSession::store_notes(RunFile& file, const Clock& clock) {
   }
 }
 
-/// Of a run that ends for another reason, which is told whether or not they can be stored.
+/// Stores the notes of a run that ends early. A failure is a warning only: the run's own reason is reported.
 void MeasuringSession::store_last_notes(RunFile& file, const Clock& clock) noexcept {
   try {
     store_notes(file, clock);
@@ -334,7 +334,7 @@ void MeasuringSession::store_last_notes(RunFile& file, const Clock& clock) noexc
 // ---- Begin
 
 MeasuringSession::OpenedBench& MeasuringSession::open(const BenchConfig& config, BenchStreams streams) {
-  opened_.reset();  // Or its ports would be in the way.
+  opened_.reset();  // Its ports must be free before they are opened again.
   auto opened = std::make_unique<OpenedBench>();
   opened->config = config;
   opened->registered.who.name = config.operator_name;
@@ -400,7 +400,7 @@ Identities MeasuringSession::identify_or_keep_recording(const StartRequest& requ
     return identify(bench, opened.config);
   } catch (const InstrumentError& error) {
     if (!transcript_) throw;
-    // There is no run, but the replies of the instruments are worth keeping.
+    // Nothing was measured, but the recorded replies of the instruments are worth keeping.
     try {
       BenchConfig config = opened.config;
       config.stage.level_file.clear();  // Only an identified stage can be compared with it.
@@ -450,7 +450,7 @@ RunFile MeasuringSession::create_file(const OpenedBench& opened, const StartRequ
   return file;
 }
 
-/// Those that are not there take no part from an angle of the plan on.
+/// Drops the items that are missing, from this position in the plan on.
 void MeasuringSession::drop_missing_items(RunFile& file, std::size_t position) const {
   const std::string utc = format_utc(file.utc_now(*opened_->bench.clock));
   for (const ItemIdentity& item : opened_->identities.items) {
@@ -506,12 +506,12 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
   const StoredRun& stored = of_items.front();
   BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
   leave_out_dropped(stored.items, config);
-  // Instruments that are open are used as they are, unless their bytes go into a recording. One of several
-  // items may be back since: its port is opened again.
+  // Open instruments are used again, unless their bytes go into a recording. With several items all are
+  // opened again, because a missing one may be back.
   const bool is_open = opened_ && opened_->identified && !transcript_ && !config.has_several_items() &&
                        opened_->config.is_same_bench(config);
   transcript_.reset();
-  // Another person than who began may go on with a run.
+  // The person who resumes a run need not be the one who began it.
   RegisteredStart registered = find_operator({});
   if (!registered.who.verified()) registered.who.name = config.operator_name;
   (void)read_signing_key();
@@ -596,7 +596,7 @@ RegisteredStart MeasuringSession::find_operator(const std::string& stated) const
   return {{stated, {}}, {}};
 }
 
-/// Not of a replay, which is no run of a check standard.
+/// Reports the control charts that wait for a run. Not called for a replay, which is no check.
 void MeasuringSession::notify_charts(const MeasuredRun& run) const {
   if (run.is_levelling() || !options_.laboratory.check_run_notices) return;
   for (const StoredRun& item : run.items) {
@@ -662,7 +662,8 @@ MeasuredRun MeasuringSession::replay(const ReplayRequest& request) {
   recorded_wire_ = std::make_unique<RecordedWire>(recorded_path);
   OpenedBench& opened =
       open(parse_bench(recorded.header.bench_toml, recorded_path.string()), recorded_wire_->streams());
-  // Programs before version 1.0 did not ask. A recording that ends before its first angle may end there.
+  // Programs before version 1.0 did not ask for corrections. A recording that ends before its first angle may
+  // end at this question.
   const bool asked_corrections =
       recorded.header.plan.empty() || !recorded.header.items.front().registers.empty();
   opened.identities = identify(opened.bench, opened.config, asked_corrections);

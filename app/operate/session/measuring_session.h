@@ -27,7 +27,7 @@ namespace abcal {
 struct StartRequest {
   BenchConfig bench;
   std::string run_file;                         ///< Path of the file to create.
-  bool record = false;                          ///< Keep every byte to and from the instruments.
+  bool record = false;                          ///< Store every byte to and from the instruments.
   std::map<std::string, std::string> labels{};  ///< Added to those of the bench file.
   bool without_missing_items = false;           ///< Items that do not answer are left out.
 };
@@ -53,11 +53,11 @@ struct NoteRequest {
 struct MeasuredRun {
   std::vector<StoredRun> items;
   std::filesystem::path path;
-  std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
-  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
+  std::string sha256;  ///< SHA-256 of the closed file; empty: readers keep it open, it is closed later.
+  bool measured_before = false;  ///< The angles were measured earlier; now only closed and analysed.
 
   bool is_levelling() const;
-  /// What is the same for all items (state, plan, timing, events), and the first item's own.
+  /// Data common to all items (state, plan, timing, events), and the first item's own.
   const StoredRun& stored() const { return items.front(); }
 };
 
@@ -81,15 +81,15 @@ class RunAnalyst {
   virtual void announce(const MeasuredRun& run) = 0;
   /// Adds the analyses to the results file of the closed run.
   virtual void keep(ResultsFile& results, const MeasuredRun& run, const std::string& utc) const = 0;
-  /// How many analyses a run has at least once keep() was called.
+  /// Least number of analyses that a run has once keep() was called.
   virtual std::size_t least_analyses() const = 0;
 };
 
-/// What a person did during a run, for its event log.
+/// A person's action during a run, for its event log.
 struct PersonEvent {
   std::string kind;      ///< "stop asked for", "control taken", ...
-  std::string text;      ///< Who, and from where.
-  RunOperator operates;  ///< Who operates from then on; no name: nobody else than before.
+  std::string text;      ///< The person, and from where.
+  RunOperator operates;  ///< Operator from then on; without a name: as before.
 };
 
 /// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, and has
@@ -104,7 +104,7 @@ class MeasuringSession {
   struct Options {
     /// Opens the instruments of a bench file; empty: make_bench().
     std::function<Bench(const BenchConfig& config, BenchStreams streams)> open_bench;
-    SessionListener listener;  ///< Empty: nobody listens.
+    SessionListener listener;  ///< Empty: none.
     std::stop_token stop;      ///< As request_stop().
     std::string login;  ///< Login of the operator at a console, as LaboratoryLink::find_operator takes it.
     /// Questions to the laboratory's register. Empty: refused where ABCAL_REGISTER names a register.
@@ -119,19 +119,19 @@ class MeasuringSession {
   MeasuringSession(const MeasuringSession&) = delete;
   MeasuringSession& operator=(const MeasuringSession&) = delete;
 
-  /// Opens the instruments and asks who they are; nothing moves. start() and level() with the same bench file
-  /// use them as they are.
+  /// Opens and identifies the instruments; nothing moves. start() and level() with the same bench file use
+  /// them without opening them again.
   /// @throws as start()
   Identities identify_instruments(const StartRequest& request);
 
-  /// Asks the accelerometers again for the corrections that they apply, since they were changed. Nothing else
-  /// is asked: the bench is open, and the next run with it has them.
+  /// Reads again the corrections that the accelerometers apply, after these were changed. Reads nothing else;
+  /// the next run on the open bench has the new ones.
   void ask_corrections_again();
 
-  /// Measures a new run to its end. Everything that can be known to fail is refused before the first move: a
-  /// existing file or results, too little disk space, an instrument of another serial number.
+  /// Measures a new run to its end. All foreseeable errors are reported before the first move: an existing
+  /// file or results, too little disk space, an instrument of another serial number.
   /// @throws BenchError, PlanError, InstrumentError, RunFileError, RunInterrupted, std::invalid_argument,
-  /// std::runtime_error (disk space). Once there is a run file, FinishedEvent has the reason too.
+  /// std::runtime_error (disk space). Once the run file exists, FinishedEvent has the reason too.
   MeasuredRun start(const StartRequest& request);
 
   /// Measures the angles of a levelling (level_plan()) to a closed run file, as start() does. No estimator of
@@ -151,10 +151,10 @@ class MeasuringSession {
   void hold();
   void continue_run();
   bool is_hold_wanted() const;
-  /// A note for the event log of the run; stored by the measuring thread soon.
+  /// Adds a note to the event log of the run; the measuring thread stores it soon.
   /// @return false: too many wait to be stored.
   bool add_note(NoteRequest note);
-  /// What a person does now; stored soon, at the latest when the run ends.
+  /// Adds a person's action to the event log; stored soon, at the latest when the run ends.
   /// @return false: too many wait to be stored.
   bool add_person_event(PersonEvent event);
   /// Halts the stage at once and ends the run. Waits for the answer to the halt.
@@ -190,7 +190,7 @@ class MeasuringSession {
 
   Options options_;
   std::stop_source stop_;
-  std::unique_ptr<Notifier> notifier_;  ///< Of a run or levelling; a replay has none.
+  std::unique_ptr<Notifier> notifier_;  ///< Null: a replay, or no recipient.
   mutable std::mutex mutex_;
   bool hold_wanted_ = false;
   std::vector<NoteRequest> notes_;          ///< To be stored.
@@ -208,9 +208,9 @@ struct FinishedRun {
   RunAnalyst::Conclusion conclusion;
 };
 
-/// Closes and analyses a run whose angles are all measured, where the program ended before it had done so.
+/// Closes and analyses a run whose angles are all measured, if its program ended before that.
 /// @param analyst  null: only closed
-/// @return nothing if nothing of this is left to do
+/// @return nothing if nothing is left to do, or not all angles are measured
 std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst);
 
 }  // namespace abcal

@@ -21,7 +21,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// The events of which a message is made; for all others there is none.
+/// Makes the message of an event; most events have none.
 struct MessageOf {
   std::optional<Json> operator()(const PortLostEvent& event) const {
     return Json{{"event", "port_lost"}, {"text", event.text}};
@@ -47,7 +47,7 @@ struct MessageOf {
   }
 };
 
-/// What abcal-transfer answers; nothing: it ended without an answer.
+/// The answer of abcal-transfer; nothing: it ended without one.
 std::optional<std::string> answer_on(int socket) {
   std::array<char, 4096> answer{};
   const ssize_t count = ::recv(socket, answer.data(), answer.size(), 0);
@@ -102,7 +102,7 @@ void Notifier::start(const Json& message) {
       {"message", message}}.dump(-1, ' ', false, Json::error_handler_t::replace);
   const ConnectedProcess sender = start_connected(helper_program("abcal-transfer", "[notify] needs"));
   sendings_.push_back(sender);
-  // The program reads it as soon as it has started; the socket holds it until then.
+  // The socket holds the packet until the program has started and reads it.
   if (::send(sender.socket, packet.data(), packet.size(), MSG_NOSIGNAL) < 0)
     throw std::runtime_error(std::strerror(errno));
 }

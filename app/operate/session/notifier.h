@@ -12,13 +12,13 @@
 
 namespace abcal {
 
-/// What those in [notify] are told of an event: schema abcal.message/1 without time and bench; nothing for
-/// events that are not for them. They hear of a lost port and its return, of halts by the watchdog, and of
-/// the end.
+/// The message of an event for the recipients in [notify]: schema abcal.message/1 without time and bench;
+/// nothing for events without a message. Messages report a lost port and its return, halts by the watchdog,
+/// and the end.
 std::optional<nlohmann::json> message_of(const SessionEvent& event);
 
-/// Tells those in [notify] how a run goes. Each message is sent by a program of its own (abcal-transfer),
-/// which outlives this one: a run never waits for a network.
+/// Sends messages on a run to the recipients in [notify]. Each is sent by a separate program
+/// (abcal-transfer), which may outlive this one, so that measuring never waits for a network.
 class Notifier {
  public:
   explicit Notifier(NotifyConfig config) : config_(std::move(config)) {}
@@ -29,8 +29,8 @@ class Notifier {
   /// Begins to send the message of an event, if it has one. Does not throw: see failures().
   void send(const SessionEvent& event, const std::string& utc);
 
-  /// Why messages did not arrive, of those whose sending is over since the last call.
-  /// @param longest  waits so long for those that are still being sent; then says that they are not confirmed
+  /// Failures of the messages whose sending ended since the last call.
+  /// @param longest  time to wait for messages in transit, which are then reported as not confirmed
   std::vector<std::string> failures(std::chrono::milliseconds longest = std::chrono::milliseconds(0));
 
  private:

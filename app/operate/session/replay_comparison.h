@@ -7,8 +7,8 @@
 
 namespace abcal {
 
-/// How a run ended: the last message of its program, or that there is none. A run that was resumed has
-/// several ends; a recording goes up to the first.
+/// How a run first ended: the text of that event, or that its program left none. A run that was resumed has
+/// several ends; a recording covers it up to the first.
 std::string end_of_run(const StoredRun& run);
 
 /// Whether a replay agrees with the recorded run.

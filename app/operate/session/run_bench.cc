@@ -82,7 +82,7 @@ std::map<std::string, std::string> item_labels(const ItemConfig& item) {
   return labels;
 }
 
-/// Whether an instrument measures voltages: its own calibration is part of the traceability.
+/// Whether an instrument measures voltages; its own calibration is then part of the traceability.
 bool reads_volts(const AccelerometerConfig& config, const AccelerometerInfo& info) {
   return info.output_unit.ends_with("V") ||
          find_in(driver_catalogue().accelerometers, config.driver).traits.reads_volts;
@@ -96,12 +96,12 @@ void note_stated_serial_number(const std::string& stated, InstrumentIdentity& in
       fmt::format("; serial number {} stated by the bench file, not reported by the instrument", stated);
 }
 
-/// Items, their accelerometers and what belongs to each of them.
+/// Adds the items, their accelerometers and the facts of each to the header.
 void add_items(const BenchConfig& config, const Identities& identities, RunHeader& header) {
   for (const ItemIdentity& identified : identities.items) {
     const BenchItemConfig& stated = config.item(identified.k);
     AccelerometerInfo info = identified.accelerometer;
-    if (info.output_unit.empty()) info.output_unit = stated.accelerometer.settings.unit;  // It is missing.
+    if (info.output_unit.empty()) info.output_unit = stated.accelerometer.settings.unit;  // Missing item.
     header.items.push_back(item_of(stated, identified, info));
     if (identified.is_present()) {
       header.instruments.push_back(identity(info, accelerometer_name(config, identified.k)));
@@ -121,7 +121,7 @@ void add_items(const BenchConfig& config, const Identities& identities, RunHeade
   }
 }
 
-/// What the bench file requires of an accelerometer.
+/// Refuses an accelerometer whose serial number or output unit is not that of the bench file.
 void require_as_stated(const std::string& role, const AccelerometerConfig& config,
                        const AccelerometerInfo& info) {
   require_serial_number_of_accelerometer(role, config, info);
@@ -132,7 +132,7 @@ void require_as_stated(const std::string& role, const AccelerometerConfig& confi
                                     info.output_unit, unit));
 }
 
-/// An item that takes its settings and gives a reading is there.
+/// Starts an accelerometer and requires one reading: an item without any is missing.
 void require_reading(Accelerometer& accelerometer, const Clock& clock, double timeout_s) {
   accelerometer.start();
   const bool reads = accelerometer.next(clock.now() + from_seconds(timeout_s)).has_value();
@@ -152,7 +152,7 @@ void identify_items(Bench& bench, const BenchConfig& config, bool ask_correction
       try {
         identity.accelerometer = item.accelerometer->identify();
         if (ask_corrections) identity.corrections = item.accelerometer->correction_registers();
-        // The others wait for a silent one; the only one is found silent as soon as it is measured.
+        // A silent item delays the others. A single item needs no test: its first dwell finds it silent.
         if (config.has_several_items())
           require_reading(*item.accelerometer, *bench.clock, config.protocol.reading_timeout_s);
       } catch (const InstrumentError& error) {
@@ -167,7 +167,7 @@ void identify_items(Bench& bench, const BenchConfig& config, bool ask_correction
   }
 }
 
-/// The rate of the item that reads slowest.
+/// Output rate of the slowest item that is present, in Hz.
 double slowest_rate_hz(const Identities& identities) {
   double slowest = identities.first().accelerometer.rate_hz;
   for (const ItemIdentity& item : identities.items)
@@ -204,7 +204,7 @@ void require_or_state_serial_number(const std::string& role, const std::string& 
     require_serial_number(role, model, found, stated);
     return;
   }
-  // Of two controllers one may report its own: that one is not stated otherwise.
+  // One of two controllers may report its serial number, which must then be among the stated ones.
   const std::vector<std::string> all = single_serial_numbers(stated);
   for (const std::string& reported : single_serial_numbers(found))
     if (reported != "0" && std::find(all.begin(), all.end(), reported) == all.end())
@@ -326,7 +326,7 @@ RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer
                        const std::stop_token& stop) {
   Bench& bench = measurement.bench;
   const BenchConfig& config = measurement.config;
-  // Simulated time has one thread only.
+  // In simulated time only one thread may use the bench.
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
   const BenchItemConfig& first = config.items.front();

@@ -24,7 +24,7 @@ namespace abcal {
 struct ItemIdentity {
   int k = 1;
   AccelerometerInfo accelerometer;
-  /// What the accelerometer itself corrects (Accelerometer::correction_registers()).
+  /// Corrections that the accelerometer itself applies (Accelerometer::correction_registers()).
   std::map<std::string, std::string> corrections;
   std::string missing;  ///< Why it takes no part; empty: it takes part.
 
@@ -42,13 +42,13 @@ struct Identities {
   std::array<AxisTravel, 2> travel() const;
 };
 
-/// Identifies the instruments and compares them with what the bench file requires. One of several items that
-/// does not answer is missing, as Bench::items and the result say.
+/// Identifies the instruments and compares them with the bench file. With several items, one that does not
+/// answer is marked as missing in Bench::items and in the result.
 /// @param ask_corrections  false: for the replay of a recording in which nobody asked
 /// @throws InstrumentError kWrongIdentity
 Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections = true);
 
-/// @throws InstrumentError that names every item that is missing, and what to do
+/// @throws InstrumentError that names every missing item and the required action
 void require_all_items(const Identities& identities);
 
 /// Refuses an instrument whose serial number is not `required` (empty: any will do).
@@ -56,14 +56,14 @@ void require_all_items(const Identities& identities);
 void require_serial_number(const std::string& role, const std::string& model, const std::string& found,
                            const std::string& required);
 
-/// The same, where the bench file may state the serial number of an instrument that reports none: it is
-/// recorded as stated. One that is reported must be the stated one.
+/// As require_serial_number(), but the bench file may state the serial number of an instrument that reports
+/// none. A number that is reported must equal the stated one.
 /// @throws InstrumentError kWrongIdentity
 void require_or_state_serial_number(const std::string& role, const std::string& model,
                                     const std::string& found, const std::string& stated);
 
-/// What the bench file requires of the serial number of an accelerometer, or of the voltmeter that reads it:
-/// one that reports none may be stated, as of a stage. Of another accelerometer it must be reported.
+/// Compares the serial number of an accelerometer, or of the voltmeter that reads it, with the bench file. As
+/// for a stage, that of a voltmeter may be stated only; any other accelerometer must report it.
 /// @throws InstrumentError kWrongIdentity
 void require_serial_number_of_accelerometer(const std::string& role, const AccelerometerConfig& config,
                                             const AccelerometerInfo& info);
@@ -75,7 +75,7 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Benc
 /// When and by which clocks measuring begins on a bench.
 SessionStart session_start(const Bench& bench);
 
-/// What a run file holds before the first angle.
+/// The header of a run file, as it is stored before the first angle.
 RunHeader make_header(const BenchConfig& config, const Identities& identities, std::vector<PlannedAngle> plan,
                       const Clock& clock);
 
@@ -83,9 +83,9 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
 std::filesystem::path output_path(const std::string& given, const std::string& bench_file,
                                   const std::string& extension);
 
-/// Stores temperature, humidity and pressure as the sensor says, or as typed into the bench file. At the
-/// start a sensor that fails throws InstrumentError; at the end of a run it is recorded only: nothing is lost
-/// for it.
+/// Stores temperature, humidity and pressure as measured by the sensor, or as typed into the bench file. A
+/// sensor that fails at the start throws InstrumentError; at the end of a run the failure is only recorded,
+/// because the run is complete without it.
 /// @return a warning: why the sensor could not be read at the end.
 std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
                                             std::string_view moment);

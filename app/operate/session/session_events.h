@@ -13,8 +13,8 @@
 #include "protocol/record/run_record.h"
 #include "protocol/run/run_observer.h"
 
-// Events of a session: plain data that is sent to other processes as JSON. Nothing is shared between the
-// session and those who read it.
+// Events of a session: plain data that is sent to other processes as JSON. The session shares no data with
+// its listeners.
 
 namespace abcal {
 
@@ -58,10 +58,10 @@ struct RunBeganEvent {
   double estimated_s = 0.0;              ///< For the whole plan, in the time of the bench.
   bool simulated_time = false;           ///< Everything is simulated.
   std::string simulated;                 ///< The instruments that are: "stage, accelerometer"; empty: none.
-  std::vector<ItemSummary> items{};      ///< Of several; empty: there is one.
+  std::vector<ItemSummary> items{};      ///< All of several items; empty: one item.
 };
 
-/// What the run is doing now.
+/// The run enters a phase.
 struct PhaseEvent {
   static constexpr const char* kName = "phase";
   std::size_t position = 0;  ///< In the plan.
@@ -140,10 +140,10 @@ struct FinishedEvent {
   static constexpr const char* kName = "finished";
   std::string file;
   bool complete = false;
-  std::string verdict;                    ///< Of the first result, in words; empty where the run ended early.
-  std::string reason;                     ///< Why that verdict, or what ended the run.
+  std::string verdict;                    ///< Worst verdict of the items; empty if the run ended early.
+  std::string reason;                     ///< Reason for the verdict, or for the early end.
   std::size_t measured = 0, planned = 0;  ///< Angles.
-  bool measured_before = false;           ///< Nothing was measured now: only closed and analysed.
+  bool measured_before = false;           ///< Measured earlier; now only closed and analysed.
 };
 
 using SessionEvent = std::variant<RunBeganEvent, PhaseEvent, AngleBegunEvent, DwellDoneEvent, FlagEvent,

@@ -17,23 +17,23 @@
 namespace abcal {
 namespace {
 
-/// Seconds between two readings of the temperatures while the item soaks; soak_span_s has at least this
-/// number of them.
+/// Interval of the temperature readings during a soak, and the least number of them in soak_span_s, which may
+/// shorten the interval.
 constexpr double kIntervalS = 20.0;
 constexpr double kReadingsInSpan = 15.0;
 constexpr double kReadingPatienceS = 2.0;
 constexpr double kTellEveryS = 600.0;
-/// The air of a chamber that is switched off must be so near to 23 degC.
+/// A chamber is switched off only if its air is this near to 23 degC.
 constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
 
-/// What the item's own sensor says now.
+/// The present temperature (degC) of the item's own sensor; nothing: it has none, or gave no reading.
 std::optional<double> item_temperature(Bench& bench) {
   Accelerometer& accelerometer = *bench.first().accelerometer;
   accelerometer.start();
   accelerometer.discard_pending();
   const auto reading = accelerometer.next(bench.clock->now() + from_seconds(kReadingPatienceS));
-  // It stays powered; simulated time would otherwise make every reading of hours.
+  // Stopped, it stays powered. A running simulated one would have to make the readings of hours.
   accelerometer.stop();
   return reading ? reading->temperature_degc : std::nullopt;
 }
@@ -61,7 +61,7 @@ struct TemperatureSeries::Progress {
   std::vector<SeriesPoint> points;
   std::vector<std::filesystem::path> paths;
   std::vector<std::size_t> missing;
-  double run_s = 0.0;  ///< Of one point.
+  double run_s = 0.0;  ///< Duration of the run at one point.
 
   double remaining_s(std::size_t from) const {
     const TemperatureConfig& t = request.bench.temperature;

@@ -25,8 +25,8 @@ std::vector<SeriesPoint> series_points(const TemperatureConfig& config);
 std::vector<std::filesystem::path> series_paths(const std::filesystem::path& stem, std::size_t points);
 
 /// Measures a series: drives the chamber to each point, waits until the item is at rest, and lets
-/// MeasuringSession measure a run. What is measured already is kept, and an interrupted run resumed, so that
-/// a series goes on where it ended. However it ends, the chamber is left as its policy says.
+/// MeasuringSession measure a run. Points that are measured are kept, and an interrupted run is resumed, so
+/// that a series continues where it ended. However it ends, the chamber is left as its policy says.
 class TemperatureSeries {
  public:
   struct Options {
@@ -36,13 +36,13 @@ class TemperatureSeries {
   struct Request {
     BenchConfig bench;
     std::string bench_file;      ///< Its name, for messages.
-    std::filesystem::path stem;  ///< Of the run files.
-    std::string plan_words{};    ///< What the plan was found for; empty: it is that of the bench file.
+    std::filesystem::path stem;  ///< Common part of the run files' paths: "STEM-01.run".
+    std::string plan_words{};    ///< Request that the plan was found for; empty: the bench file's plan.
   };
 
   explicit TemperatureSeries(Options options) : options_(std::move(options)) {}
 
-  /// @throws BenchError (all that the chamber cannot do of it), InstrumentError, RunFileError,
+  /// @throws BenchError (every demand that the chamber cannot meet), InstrumentError, RunFileError,
   /// RunInterrupted, std::invalid_argument: a file of another bench is in the way
   std::vector<std::filesystem::path> measure(const Request& request);
 

@@ -15,10 +15,10 @@ class SoakRule {
  public:
   SoakRule(const TemperatureConfig& config, double set_degc) : config_(config), set_degc_(set_degc) {}
 
-  /// Readings of both. `item_degc`: nothing where the item has no sensor; then the air alone decides.
+  /// Adds one reading. `item_degc`: nothing if the item has no sensor; then the air alone decides.
   void add(double time_s, double air_degc, std::optional<double> item_degc);
   bool reached() const;
-  /// K/min over the span; nothing: not long enough yet.
+  /// The item's rate over the span in K/min; nothing: the readings do not cover the span yet.
   std::optional<double> rate_k_per_min() const;
   std::optional<double> item_degc() const;
   double air_degc() const { return air_degc_; }
@@ -35,7 +35,7 @@ class SoakRule {
   double air_degc_ = 0.0, now_s_ = 0.0;
   std::optional<double> in_window_since_s_;
   bool has_sensor_ = false;
-  std::deque<Temperature> readings_;  ///< The span.
+  std::deque<Temperature> readings_;  ///< Readings within the span.
 };
 
 }  // namespace abcal

@@ -39,9 +39,9 @@ CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) 
   }
 }
 
-/// The line response of a simulated item, averaged over the bench's span. What changes without end
-/// (drift_per_hour, the room's temperature) counts from the start, because the duration of the run is not
-/// known here.
+/// The line response of a simulated item, averaged over the bench's span. Quantities that change without
+/// limit (drift_per_hour, the room's temperature) have their initial values, because the duration of the run
+/// is not known here.
 sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageTruth& stage) {
   constexpr int kTimes = 101;
   truth.drift_per_hour.setZero();
@@ -82,7 +82,7 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
   }
 }
 
-/// What the joint fit of the same readings says of the sizes that another estimator rests on.
+/// Checks the sizes that another estimator rests on: the joint fit of the same readings may contradict them.
 Check sizes_check(const CalibrationResult& joint) {
   const std::vector<std::string>& contradicted = joint.joint->contradicted_sizes;
   Check check{"stated sizes of effects",
@@ -106,7 +106,7 @@ RunAnalysis analyse_items(std::span<const RunRecord> records,
   });
   if (needs_joint) {
     JointOptions options;
-    options.measured_alignment = records.front().measured_alignment;  // The stage is one.
+    options.measured_alignment = records.front().measured_alignment;  // All share the stage.
     analysis.joint = analyse_tray(records, options);
   }
   for (std::size_t k = 0; k < records.size(); ++k) {

@@ -13,12 +13,12 @@
 
 namespace abcal {
 
-/// What estimators find in the items of one run. One item is a list of length 1.
+/// Results of estimators for the items of one run. A single item is a list of length 1.
 struct RunAnalysis {
-  /// The joint fit of all items together; not analysed where no estimator was asked that needs it.
+  /// The joint fit of all items together; empty if no requested estimator needs it.
   TrayResult joint;
-  /// Of each item: one an estimator, in the order in which they were asked for. The joint one is that of the
-  /// common fit; each other one knows the readings of this item alone.
+  /// For each item one result per estimator, in the order of the request. The joint one is that of the common
+  /// fit; every other one uses the readings of this item alone.
   std::vector<std::vector<CalibrationResult>> results;
 };
 
@@ -27,7 +27,7 @@ struct RunAnalysis {
 RunAnalysis analyse_items(std::span<const RunRecord> records,
                           const std::vector<const Estimator*>& estimators);
 
-/// The same for one item.
+/// As analyse_items(), for one item.
 std::vector<CalibrationResult> analyse(const RunRecord& record,
                                        const std::vector<const Estimator*>& estimators);
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
@@ -37,12 +37,12 @@ CalibrationResult analyse(const RunRecord& record, const std::string& estimator)
 std::vector<const Estimator*> all_estimators(const RunRecord& record);
 std::vector<CalibrationResult> analyse_all(const RunRecord& record);
 
-/// One item of a run, as it was loaded, and what was found of it.
+/// One item of a run as it was loaded, and its results.
 struct AnalysedItem {
   StoredRun stored;
   std::vector<CalibrationResult> results;  ///< As in RunAnalysis.
 
-  /// Of the estimator that was chosen before the first angle.
+  /// The result of the estimator that was chosen before the first angle.
   const CalibrationResult& result() const;
 };
 
@@ -55,7 +55,7 @@ struct AnalysedRun {
   AnalysedItem& item(int k) { return items.at(static_cast<std::size_t>(k) - 1); }
 };
 
-/// @param estimator  whose results are wanted; empty: all of them, the declared one first
+/// @param estimator  the only one to be applied; empty: all of them, the declared one first
 AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator = {});
 
 /// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.

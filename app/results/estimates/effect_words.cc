@@ -28,8 +28,8 @@ std::vector<std::string> uncovered_effects_words(const EffectSizes& sizes) {
 }
 
 std::vector<std::string> effects_without_source(const EffectSizes& sizes) {
-  // What read_effect_sizes() and the reader of bench files put in place of a source; behind the second, how
-  // the number was stated: "stated (rectangular, half-width 0.014)".
+  // Words that read_effect_sizes() and the reader of bench files enter if no source is given; in brackets,
+  // the form of the statement: "stated (rectangular, half-width 0.014)".
   const auto is_none = [](std::string_view source) {
     return source == "stated" || source.starts_with("stated (") || source == "tolerances" ||
            source.find_first_not_of(" \t\r\n") == std::string_view::npos;

@@ -7,11 +7,11 @@
 
 namespace abcal {
 
-/// A sentence that names the effects whose size is a default; empty if there are none.
+/// A sentence that names the effects whose size is a default; empty if all sizes are stated.
 std::string default_effects_words(const EffectSizes& sizes);
 
-/// A sentence about each effect that benches usually have, that was not stated and whose default is zero: no
-/// part of the uncertainty stands for it.
+/// A sentence about each effect that benches usually have, that was not stated and whose default is zero: the
+/// uncertainty does not cover it.
 std::vector<std::string> uncovered_effects_words(const EffectSizes& sizes);
 
 /// Words of the effects whose size was stated as a number alone, without saying where it comes from. Sizes of

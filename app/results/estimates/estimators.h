@@ -19,8 +19,8 @@ struct Estimator {
   bool needs_angles = true;  ///< False: accepts poses whose angles are not known.
   /// Stage errors are unknowns of the fit, so that chi2 is near the degrees of freedom on a real stage.
   bool fits_stage_errors = false;
-  /// Takes the stated sizes of all effects as they are, and can test few of them: where the joint fit of the
-  /// same readings contradicts one, the result is doubtful.
+  /// Relies on the stated sizes of all effects, and can test few of them: if the joint fit of the same
+  /// readings contradicts one, the result is doubtful.
   bool rests_on_stated_sizes = false;
   /// The result of a record. Null: the joint fit, which takes all items of a run together (analyse_items).
   /// @throws the exceptions of the analysis for a record that it refuses
@@ -44,7 +44,7 @@ const Estimator& find_estimator(std::string_view name);
 /// @throws std::invalid_argument for one that this program does not know
 const Estimator& declared_estimator(const RunRecord& record);
 
-/// The result of one estimator among those of a record. @throws std::logic_error if there is none
+/// The result of one estimator among those of a record. @throws std::logic_error if it is absent
 const CalibrationResult& result_of(const std::vector<CalibrationResult>& results, std::string_view estimator);
 
 }  // namespace abcal

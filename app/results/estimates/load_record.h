@@ -16,17 +16,17 @@ struct LoadedRecord {
   std::optional<StoredRun> run;  ///< Absent for a CSV.
 };
 
-/// A file and the item of it that is asked for, from 1; 0: none is named.
+/// A file and the number of the requested item, from 1; 0: none is named.
 struct NamedItem {
   std::filesystem::path file;
   int item = 0;
 };
 
-/// "a.run#2" is item 2 of a.run. A file of that very name comes first.
-/// @throws std::invalid_argument  no such file, and no number after the mark
+/// "a.run#2" is item 2 of a.run. An existing file with this whole name takes precedence.
+/// @throws std::invalid_argument  no such file, and no number after the #
 NamedItem named_item(const std::string& name);
 
-/// How many items a run file has; 1 for whatever else it is.
+/// Number of items of a run file; 1 for any other file.
 std::size_t items_of_file(const std::filesystem::path& path);
 
 /// The item of a run file, or of a CSV with its one item, that a command is about.
@@ -40,7 +40,7 @@ int shown_item(const StoredRun& run, int asked);
 
 /// One item of a run file or of a CSV. FILE#K as the path is its item K.
 /// @param item  from 1; 0: as the path says, or the only one
-/// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
+/// @throws RunFileError, CsvError, std::runtime_error, each with the problem of the file.
 /// @throws std::invalid_argument  as chosen_item()
 LoadedRecord load_record(const std::filesystem::path& path, int item = 0);
 

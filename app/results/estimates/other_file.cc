@@ -60,7 +60,7 @@ void refuse_other_file(const std::filesystem::path& path, const char* wanted) {
     refuse(path, "XML, such as a certificate", wanted, ". Only `abcal compare` reads certificates");
   if (start.starts_with('{')) refuse(path, "JSON", wanted, ", not the JSON of a result");
   const bool is_named_toml = path.extension() == ".toml";
-  // Of a CSV without comments the first line tells at once; that of a run is no text.
+  // A text without "=" or a heading in brackets is not TOML: nothing is parsed.
   if (!is_named_toml && start.find('=') == std::string::npos && !start.starts_with('[')) return;
   const auto table = as_toml(path);
   if (table && is_bench(*table))

@@ -34,8 +34,8 @@ bool is_check_pose(const PlannedAngle& angle) {
   return same_direction(angle.x, pose.x) && same_direction(angle.z, pose.z);
 }
 
-/// What of the stored plan is not what the bench file gives; empty: all is. Which whole turns and which
-/// order, depends on the travel of the stage, which is not in the bench file.
+/// The first difference of the stored plan from that of the bench file; empty: none. Whole turns and order
+/// are not compared, because they depend on the travel of the stage, which is not in the bench file.
 std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const BenchConfig& bench) {
   constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
   std::map<std::pair<int, int>, PlannedAngle> expected;
@@ -66,7 +66,7 @@ std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const B
   return {};
 }
 
-/// What of the dwells is not as planned.
+/// The first difference of the dwells from the plan; empty: none.
 std::string difference_from_plan(const StoredRun& stored, const BenchConfig* bench) {
   const std::vector<PlannedAngle>& plan = stored.header.plan;
   std::set<std::size_t> measured;
@@ -86,7 +86,7 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
     if (bench == nullptr || (dwell.flags & kFlagOutsideWindow) != 0U) continue;
     for (const auto& [encoder, commanded] :
          {std::pair{dwell.encoder_x, dwell.commanded_x}, std::pair{dwell.encoder_z, dwell.commanded_z}}) {
-      // Twice the window: the encoder may be read at another moment than the window was checked.
+      // Twice the window: the encoder may be read at another moment than the check of the window.
       if (encoder && std::abs(encoder->deg() - commanded.deg()) > 2.0 * bench->protocol.position_window.deg())
         return where + ": the encoder is outside the position window, but no flag is set";
     }
@@ -116,7 +116,7 @@ IntegrityCheck check_plan(const StoredRun& stored, const BenchConfig* bench) {
                       is_planned ? " as the bench file gives them" : "")};
 }
 
-/// The numbers below a node whose key is one of two, in order.
+/// Appends all values and standard uncertainties below a node, in order.
 void gather(const nlohmann::json& node, std::vector<double>& values, std::vector<double>& uncertainties) {
   if (node.is_object() && node.contains("value") && node.contains("standard_uncertainty")) {
     const auto number = [](const nlohmann::json& at) {
@@ -130,11 +130,11 @@ void gather(const nlohmann::json& node, std::vector<double>& values, std::vector
   for (const auto& child : node) gather(child, values, uncertainties);
 }
 
-/// How far a stored analysis is from the one of now.
+/// Difference between a stored analysis and the present one.
 struct Distance {
   bool comparable = false;
-  double of_values = 0.0;         ///< Largest, in standard uncertainties of now.
-  double of_uncertainties = 0.0;  ///< Largest, relative.
+  double of_values = 0.0;         ///< Largest difference, in present standard uncertainties.
+  double of_uncertainties = 0.0;  ///< Largest relative difference.
 };
 
 Distance distance_between(const nlohmann::json& stored, const nlohmann::json& now) {
@@ -159,8 +159,8 @@ Distance distance_between(const nlohmann::json& stored, const nlohmann::json& no
   return distance;
 }
 
-/// Whether a complete run must have analyses: it is analysed when it ends. Of a levelling, whose angles
-/// belong to no experiment, there are none.
+/// Whether a complete run must have analyses: it is analysed when it ends. A levelling, whose angles belong
+/// to no experiment, has none.
 bool must_have_analyses(const std::filesystem::path& run, const StoredRun& stored) {
   std::error_code error;
   return std::filesystem::exists(ResultsFile::path_beside(run), error) &&
@@ -168,13 +168,12 @@ bool must_have_analyses(const std::filesystem::path& run, const StoredRun& store
                      [](const PlannedAngle& angle) { return angle.experiment != 0; });
 }
 
-/// Of a complete run, what is said of analyses that are missing; empty: there is one of the declared
-/// estimator.
-/// @param found  the estimators of which there are analyses
+/// The finding on missing analyses of a complete run; empty: that of the declared estimator is stored.
+/// @param found  the estimators of the stored analyses
 std::string missing_analyses(const StoredRun& stored, const std::vector<CalibrationResult>& results,
                              const std::set<std::string>& found) {
   const bool is_dropped = stored.own_progress().dropped_at.has_value();
-  // Of an item that was dropped, only what the common fit says of it is kept.
+  // An item that was dropped has only the result of the common fit.
   if (is_dropped ? !found.empty() : found.contains(declared_estimator(stored.record).name)) return {};
   std::string missing;
   for (const CalibrationResult& result : results)
@@ -189,8 +188,8 @@ std::string missing_analyses(const StoredRun& stored, const std::vector<Calibrat
 /// The stored analyses of the item of `stored`, computed again.
 IntegrityCheck check_results(const std::filesystem::path& run, const StoredRun& stored_run,
                              const std::vector<CalibrationResult>& results) {
-  // The same program gives the same numbers but for rounding. Another one may have better methods: its
-  // analyses are a history: they are reported, not judged. Reports and certificates never use them.
+  // The same version gives the same numbers except for rounding. Another version may have other methods, so
+  // that its analyses are only reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
   std::size_t same = 0, other = 0;
   std::set<std::string> found;
@@ -252,7 +251,7 @@ std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& ru
   try {
     bench = parse_bench(analysed.items.front().stored.header.bench_toml, "its bench file");
   } catch (const BenchError&) {
-    // Of another abcal, or of a test: the plan is compared with the dwells only.
+    // A bench file of another version, or of a test: the plan is compared with the dwells only.
   }
   const BenchConfig* known = bench ? &*bench : nullptr;
   for (const AnalysedItem& item : analysed.items) {

@@ -10,21 +10,21 @@
 
 namespace abcal {
 
-/// Keeps an analysis of an item with its closed run.
+/// Stores an analysis of an item with its closed run.
 /// @throws RunFileError
 void keep_analysis(ResultsFile& results, const std::string& utc, const CalibrationResult& result,
                    const StoredRun& run);
 
-/// What a run states beyond its readings, computed again: its plan from its bench file, whether every planned
+/// Recomputes the content of a run beyond its readings: its plan from its bench file, whether every planned
 /// angle was measured where it was planned, and the stored analyses from the dwells.
 /// @param bench    the bench file of the run; null: this program cannot read it, and the plan is not compared
 /// with it
-/// @param results  the analyses of now, one an estimator
+/// @param results  the present analyses, one for each estimator
 std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
                                       const BenchConfig* bench,
                                       const std::vector<CalibrationResult>& results);
 
-/// Everything that is checked of a run: verify_run() and recompute(). Reads and analyses the run.
+/// All checks of a run: verify_run() and recompute(). Reads and analyses the run.
 /// @throws RunFileError if the file is no run file at all
 std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run);
 

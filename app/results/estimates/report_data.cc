@@ -93,7 +93,7 @@ std::vector<std::string> cautions(const ReportData& data) {
 
 namespace {
 
-/// What is the same for all items of a run.
+/// Data common to all items of a run.
 struct GatheredRun {
   std::filesystem::path path;
   std::string created_utc;
@@ -121,7 +121,7 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   if (gathered.is_run_file) data.run = item.stored;
   data.program_version = program_version();
   data.created_utc = gathered.created_utc;
-  // A report goes to the owner of its item: other items' certificates are not his business.
+  // A report goes to the owner of its item, and says nothing about the certificates of other items.
   std::copy_if(gathered.integrity.begin(), gathered.integrity.end(), std::back_inserter(data.integrity),
                [&](const IntegrityCheck& check) { return check.item == 0 || check.item == data.item; });
   data.all = gathered.all;

@@ -34,8 +34,8 @@ std::string verdict_words(Verdict verdict);
 /// "+1.0845574 +- 0.0000012".
 std::string value_with_uncertainty(const Quantity& quantity);
 
-/// The result as text: verdict first, then every quantity with uncertainty and unit, then what the
-/// diagnostics say. Colours as `stream` allows.
+/// The result as text: verdict first, then every quantity with uncertainty and unit, then the diagnostics.
+/// Colours as `stream` allows.
 std::string result_text(const CalibrationResult& result, std::FILE* stream);
 
 /// Several estimators of one run side by side, with their differences from the one that is reported in units

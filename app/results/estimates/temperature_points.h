@@ -11,23 +11,23 @@
 
 namespace abcal {
 
-/// Where the run of a point stands in its series, as its labels say.
+/// Place of a point's run in its series, as stated by the run's labels.
 struct PlaceInSeries {
   int number = 0, of = 0;  ///< "3 of 15"
   SeriesLeg leg = SeriesLeg::kUp;
   double set_degc = 0.0;
 };
 
-/// @return nothing for a run that is none of a series
+/// @return nothing for a run that belongs to no series
 std::optional<PlaceInSeries> place_in_series(const RunHeader& header);
 
 /// The run of one point, analysed. @throws std::invalid_argument as temperature_point()
 TemperaturePoint point_of_series(const PlaceInSeries& place, const RunRecord& record,
                                  const CalibrationResult& result);
 
-/// The points of a series from their run files, in order, for fit_temperature(): those of each item of the
-/// runs.
-/// @throws std::invalid_argument for a file that is none of a series, or not complete
+/// The points of a series from their run files, in order, for fit_temperature(): one list for each item of
+/// the runs.
+/// @throws std::invalid_argument for a file that belongs to no series, or is not complete
 std::vector<std::vector<TemperaturePoint>> points_of_series(const std::vector<std::filesystem::path>& paths);
 
 /// A measured series of one item and its fit.

@@ -95,7 +95,7 @@ std::vector<std::pair<std::size_t, std::size_t>> pairs_of(const TrayResult& tray
   return out;
 }
 
-/// Nothing where the items have other units: their difference means nothing.
+/// Nothing if the units of the items differ: their difference has no meaning.
 std::optional<IntrinsicComparison> difference_of(const TrayResult& tray, std::size_t i, std::size_t k) {
   if (tray.items[i].result.response_unit != tray.items[k].result.response_unit) return std::nullopt;
   return compare_items(tray, i, k);

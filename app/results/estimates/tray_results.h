@@ -19,12 +19,12 @@ nlohmann::ordered_json tray_json(const AnalysedRun& run);
 /// allows.
 std::string tray_text(const AnalysedRun& run, std::FILE* stream);
 
-/// What a command prints of a run: abcal.result/1 of its only item, by the estimator that the run declares;
-/// abcal.tray/1 of several.
+/// JSON that a command prints for a run: abcal.result/1 with the first result of a single item; abcal.tray/1
+/// for several.
 nlohmann::ordered_json analysis_json(const AnalysedRun& run);
-/// The same as text; of an only item with all estimators side by side.
+/// As analysis_json(), as text; for a single item with all its estimators side by side.
 std::string analysis_text(const AnalysedRun& run, std::FILE* stream);
-/// One item in full: its result, and where there are several, all estimators side by side.
+/// One item in full: its first result, and if it has several, all estimators side by side.
 std::string item_text(const AnalysedItem& item, std::FILE* stream);
 
 }  // namespace abcal

@@ -12,7 +12,7 @@ namespace abcal {
 enum class ExportFrame {
   /// The item's own: x along the axis of u, y in the plane of u and v. Free of how it was mounted.
   kItem,
-  kPlatter,  ///< The platter's at the default orientation: how the item was mounted is corrected too.
+  kPlatter,  ///< The platter's at the default orientation: the mounting of the item is corrected too.
 };
 
 /// The white noise of the readings of a run.

@@ -19,14 +19,14 @@ struct ExportFormat {
   bool is_text = true;  ///< False: it belongs into a file, not onto a terminal.
   /// Writes a series over temperature; empty: the format holds constants of one temperature.
   std::function<std::string(const TemperatureConstants& constants)> write_over_temperature{};
-  /// Contents of the format that this file lacks, with the reason; an empty text if there are none.
+  /// Contents of the format that this file lacks, with the reason; empty: none.
   std::function<std::string(const CorrectionConstants& constants)> left_out{};
 };
 
 /// One entry for each: json, csv, mat, c, px4, ardupilot, ros, kalibr, imucal.
 const std::vector<ExportFormat>& export_formats();
 
-/// @throws std::invalid_argument naming the formats there are
+/// @throws std::invalid_argument naming the existing formats
 const ExportFormat& export_format(std::string_view name);
 
 }  // namespace abcal

@@ -34,7 +34,7 @@ struct TemperatureConstants {
   Eigen::Vector3d offset_at(double degc) const;
 };
 
-/// @param g_loc_mps2  of the runs
+/// @param g_loc_mps2  local gravity at the runs
 /// @throws std::invalid_argument  axes in one plane
 TemperatureConstants temperature_constants(const TemperatureResult& result, double g_loc_mps2);
 

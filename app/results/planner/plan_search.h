@@ -19,14 +19,14 @@ inline constexpr std::array<int, 11> kTriedSteps{12, 14, 16, 18, 20, 24, 30, 36,
 inline constexpr int kLeastReadings = 20;
 inline constexpr int kMostReadings = 1'000'000;
 
-/// The plan of least duration, or why there is none.
+/// The plan of least duration, or the reasons why none reaches the wanted uncertainties.
 struct FoundPlan {
   std::optional<PlanPrediction> plan;
   /// Without a plan: the group, the uncertainty with the longest dwells, and its largest contribution.
   std::vector<std::string> out_of_reach;
 };
 
-/// Looks for plans of one bench. Predictions are kept, so that further questions cost little.
+/// Searches for plans of one bench. Predictions are kept, so that further questions cost little.
 class PlanSearch {
  public:
   /// @param progress  called after each prediction; may be empty

@@ -44,7 +44,7 @@ std::string to_the_second(const std::string& utc) {
   return utc.size() < 19 ? utc : utc.substr(0, 10) + " " + utc.substr(11, 8) + " UTC";
 }
 
-// --- What was calibrated, where and by whom ----------------------------------------------------------------
+// --- Item, bench and operator ------------------------------------------------------------------------------
 
 Section item_section(const ReportData& data) {
   FactList facts;

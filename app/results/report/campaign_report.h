@@ -32,7 +32,7 @@ struct CampaignReport {
 /// Text for each item: verdicts, then mean, spread and uncertainty of the mean.
 std::string campaign_text(std::span<const CampaignReport> items, std::FILE* stream);
 
-/// Schema abcal.campaign/1. Of several items each has an object of its own, under `items`.
+/// Schema abcal.campaign/1. Several items have an object each, under `items`.
 nlohmann::ordered_json campaign_json(std::span<const CampaignReport> items);
 
 }  // namespace abcal

@@ -77,12 +77,12 @@ std::string of_item(const std::string& comments, int item) {
   return text;
 }
 
-/// A column in front of all others: "2," of item 2; empty: none.
+/// The cell of the first column for an item, "2,"; empty: no such column.
 std::string item_column(const ReportData& data, bool with_item) {
   return with_item ? fmt::format("{},", data.item) : std::string();
 }
 
-/// @param left_out  is raised by the number of angles without a finite mean
+/// @param left_out  increased by the number of angles without a finite mean
 std::string averaged_rows(const ReportData& data, bool with_item, int& left_out) {
   std::string rows;
   for (const DwellRecord* each : dwells_in_time(data.record)) {

@@ -52,7 +52,7 @@ H5::Group group(const H5::Group& parent, const std::string& name, const std::str
   return made;
 }
 
-/// A text; nothing where there is none.
+/// Writes a text, unless it is empty.
 void put(const H5::Group& parent, const std::string& name, const std::string& text) {
   if (text.empty()) return;
   parent.createDataSet(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(valid_text(text), utf8());
@@ -477,7 +477,7 @@ void write_file(const std::filesystem::path& path, const std::function<void(cons
   try {
     H5::H5File file(path.string(), H5F_ACC_TRUNC);
     write(file.openGroup("/"));
-    // Asked for here, as a destructor keeps to itself that the disk was full.
+    // Flushed here, because a destructor would not report a full disk.
     file.flush(H5F_SCOPE_GLOBAL);
     file.close();
   } catch (const H5::Exception& error) {

@@ -17,7 +17,7 @@ std::string study_text(const RunUncertainty& study);
 
 /// One row for each case and output:
 /// `case,output,unit,error,mean,standard_deviation,symmetric_low,symmetric_high,
-/// shortest_low,shortest_high,paper,paper_standard_deviation`; empty where there is nothing.
+/// shortest_low,shortest_high,paper,paper_standard_deviation`; absent values are empty.
 std::string study_csv(const StudyResult& study);
 
 }  // namespace abcal

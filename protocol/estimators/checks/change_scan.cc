@@ -27,16 +27,16 @@ namespace {
 
 using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic>;
 
-/// At most so many changes are accounted for one after the other: what is left then is not a matter of single
-/// changes.
+/// Largest number of changes that are accounted for one after the other: single changes do not explain a run
+/// with more.
 constexpr std::size_t kMostChanges = 8;
-/// A lasting turn by more leaves more than the usual limits behind where it is accounted for linearly.
+/// A larger lasting turn leaves errors beyond the usual limits when it is accounted for linearly.
 constexpr double kLargestLinearTurnDeg = 1.5;
 /// Below this fraction of its own information a change cannot be told from the other unknowns.
 constexpr double kUndetermined = 1e-8;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
-/// Where the columns of the lasting changes stand among each other.
+/// Positions of the columns within the block of lasting changes.
 constexpr Eigen::Index kSlipColumn = 0, kAxisXColumn = 3, kOutputColumn = 4, kGainColumn = 7,
                        kLastingColumns = 10;
 
@@ -69,7 +69,7 @@ struct Gain {
   int degrees_of_freedom = 0;
 };
 
-/// @param own  the change's own information, before the other unknowns take theirs
+/// @param own  information about the change if all other unknowns were known
 Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, const Eigen::VectorXd& own) {
   Gain gain;
   gain.size = Eigen::VectorXd::Zero(right.size());
@@ -92,7 +92,7 @@ Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, c
 /// angle's readings, and everything whitened by it. Relative units, as in the fit.
 class LinearModel {
  public:
-  /// @param fitted  at the point
+  /// @param fitted  the model at the point of linearisation
   /// @param white   standard deviations of the outputs' white noise, over the u of the readings
   LinearModel(const EffectModel& fitted, const std::vector<EffectReading>& readings,
               const Eigen::Vector3d& white)
@@ -181,7 +181,7 @@ class LinearModel {
     return best;
   }
 
-  /// From now on the change is one more unknown of the model, without a prior.
+  /// Adds the change to the unknowns of the model, without a prior.
   void account_for(const Change& change) {
     const Eigen::Index before = prior_weight_.size();
     const Eigen::Index columns = columns_of(change, change.at).cols();
@@ -201,7 +201,7 @@ class LinearModel {
   static Eigen::Index row(std::size_t i) { return 3 * static_cast<Eigen::Index>(i); }
 
   double unit(int output) const { return fitted_.unit()(output); }
-  /// What a jump of one R of each output does to the readings.
+  /// Change of the readings (relative units) for a jump of each output by one R.
   Eigen::Matrix3d outputs() const { return fitted_.unit().cwiseInverse().asDiagonal(); }
   Eigen::Index first_of(int output) const { return fitted_.layout().own_count() * output; }
   Eigen::Vector3d row_of(int output) const { return solution_.segment<3>(first_of(output)); }
@@ -218,7 +218,7 @@ class LinearModel {
     return (root_.middleRows(first, direction.size()).transpose() * direction).norm();
   }
 
-  /// What a change of one unit does to the readings at angle i.
+  /// Derivatives of the readings at angle i by the sizes of the change.
   Columns columns_of(const Change& change, std::size_t i) const {
     const bool touched = lasts(change.kind) ? i >= change.at : i == change.at;
     Columns columns;
@@ -256,7 +256,7 @@ class LinearModel {
     Square own = Square::Zero();
     Eigen::MatrixXd taken = Eigen::MatrixXd::Zero(kLastingColumns, prior_weight_.size());
     Eigen::Matrix<double, kLastingColumns, 1> right = Eigen::Matrix<double, kLastingColumns, 1>::Zero();
-    for (std::size_t at = size(); at-- > 1;) {  // from the first angle on is no change
+    for (std::size_t at = size(); at-- > 1;) {  // from angle 0 on it is no change
       const Eigen::Matrix<double, kLastingColumns, 3> whitened = (whiten_[at] * lasting_[at]).transpose();
       own += whitened * whitened.transpose();
       taken += product(whitened, taken_.middleRows<3>(row(at)));
@@ -299,19 +299,19 @@ class LinearModel {
 
   const EffectModel& fitted_;
   Eigen::VectorXd solution_;
-  Eigen::Index first_change_;  ///< Columns from here on are of changes that are accounted for.
+  Eigen::Index first_change_;  ///< First column of the changes that are accounted for.
   Eigen::VectorXd prior_weight_, prior_distance_;
-  std::vector<Eigen::Matrix3d> whiten_;  ///< Of each angle's readings.
+  std::vector<Eigen::Matrix3d> whiten_;  ///< Whitening matrix of the readings at each angle.
   std::vector<Eigen::Matrix<double, 3, kLastingColumns>> lasting_;
   std::vector<Eigen::Vector3d> by_step_;
-  ReadingRows x_;  ///< Whitened, as the next two.
+  ReadingRows x_;  ///< Whitened, like y_ and residual_.
   Eigen::VectorXd y_, residual_;
   Eigen::MatrixXd root_;
-  ReadingRows taken_;  ///< x root: what the unknowns take of a change.
+  ReadingRows taken_;  ///< x root: the part of a change that the other unknowns absorb.
   double chi2_ = 0.0;
 };
 
-/// Judges the best of each kind by what is left of chi2.
+/// Compares the best change of each kind with its limits, in units of the remaining scatter.
 std::vector<Change> judged(const LinearModel& model, const RunRecord& record,
                            const Eigen::Vector3d& sensitivity) {
   const double drift = drift_limit(record.limits, record.tolerances);
@@ -348,14 +348,14 @@ std::vector<Change> judged(const LinearModel& model, const RunRecord& record,
   return changes;
 }
 
-/// Fewest unknowns first: what each is worth, as in the Bayesian information criterion.
+/// Gain less a penalty for each unknown, as in the Bayesian information criterion.
 double worth(const Change& change, double readings) {
   const double unknowns =
       change.kind == ChangeKind::kSlip || change.kind == ChangeKind::kReadings ? 3.0 : 1.0;
   return change.gain - unknowns * std::log(readings);
 }
 
-/// Readings in the order in which they were measured, with uncertainties that are not small by chance.
+/// Readings in order of time. An uncertainty below the median of its output is raised to it: small by chance.
 std::vector<EffectReading> readings_in_time(const RunRecord& record, ChangeScan& scan, bool& u_known) {
   const CollectedReadings data = collect_readings(record);
   if (data.readings.size() < 5) throw UnusableData("fewer than 5 usable angles");
@@ -379,9 +379,9 @@ std::vector<EffectReading> readings_in_time(const RunRecord& record, ChangeScan&
   return readings;
 }
 
-/// Goes to the point of the model that was fitted without the readings left out. Each of these gets the step
-/// error that brings the model closest to it, if that is much closer than without; else 0: where the angle is
-/// far off another angle explains the readings, where an output is far off none does.
+/// Moves `model` to the point of `fitted`, which lacks the readings left out. Each of these gets the step
+/// error that brings the model closest to it, if that is much closer than without, else 0: a step error
+/// explains the readings at a wrong angle, but not a wrong output.
 void move_to_fit(const EffectModel& fitted, const std::set<std::size_t>& left_out, EffectModel& model) {
   std::vector<double> steps;
   for (std::size_t i = 0, k = 0; i < model.angles(); ++i)
@@ -419,7 +419,7 @@ std::optional<Eigen::Vector3d> fit_without(const std::set<std::size_t>& left_out
   for (std::size_t i = 0; i < readings.size(); ++i) {
     if (!left_out.contains(i)) used.push_back(readings[i]);
   }
-  // What is far from the model must not be taken for one of the further effects.
+  // Readings far from the model must not be explained by the further effects.
   EffectFitOptions options = model.options();
   options.sizes = without_further_effects(options.sizes);
   EffectModel fitted(used, options);
@@ -443,7 +443,7 @@ void find_changes(LinearModel& model, const RunRecord& record, ChangeScan& scan)
     Change found = *best;
     for (const Change& other : scan.largest) {
       const bool as_good = other.gain > other.needed && other.gain > found.gain - found.needed;
-      // Two that touch one angle only are alternatives if it is the same.
+      // Two changes of single angles are alternatives only at the same angle.
       const bool comparable = lasts(other.kind) || lasts(found.kind) || other.at == found.at;
       if (other.kind != found.kind && as_good && comparable) found.as_well.push_back(other.kind);
     }
@@ -469,7 +469,7 @@ ChangeScan scan_for_changes(const RunRecord& record) {
       readings,
       {.sizes = record.tolerances, .measured_alignment = record.measured_alignment, .white_known = u_known});
   std::set<std::size_t> left_out;
-  // Once for a sound run; again while other angles are found to be wrong by themselves.
+  // A sound run needs one pass; others need more until the set of wrong angles stays the same.
   constexpr int kMostFits = 4;
   for (int pass = 0; pass < kMostFits; ++pass) {
     const std::optional<Eigen::Vector3d> white = fit_without(left_out, readings, model);

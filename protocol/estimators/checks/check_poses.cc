@@ -25,7 +25,7 @@
 namespace abcal {
 namespace {
 
-/// At most so many changes are accounted for one after the other.
+/// Largest number of changes that are accounted for one after the other.
 constexpr int kMostPoseChanges = 6;
 /// Below this part of the largest eigenvalue a direction of a change is not determined.
 constexpr double kPoseUndetermined = 1e-9;
@@ -38,16 +38,15 @@ struct CheckReading {
   double t = 0.0;
   Eigen::Vector3d y = Eigen::Vector3d::Zero();  ///< Relative linear responses.
   Eigen::Vector3d gravity = Eigen::Vector3d::Zero();
-  Eigen::Vector3d by_x = Eigen::Vector3d::Zero();  ///< Of y, by the angles of the axes (1/radian).
+  Eigen::Vector3d by_x = Eigen::Vector3d::Zero();  ///< Derivatives of y by the angles of the axes (1/radian).
   Eigen::Vector3d by_z = Eigen::Vector3d::Zero();
 };
 
 /// The outputs as the experiments show them at a perfect stage: good to 1e-3, enough for derivatives.
 struct RoughOutputs {
-  Eigen::Matrix3d rows;  ///< Relative to S_j.
-  Eigen::Vector3d unit;  ///< S_j (R/g_loc)
-  Eigen::Vector3d
-      usual_u;  ///< Median uncertainty of a reading, relative: one that is small by chance is no better.
+  Eigen::Matrix3d rows;     ///< Relative to S_j.
+  Eigen::Vector3d unit;     ///< S_j (R/g_loc)
+  Eigen::Vector3d usual_u;  ///< Median relative uncertainty of a reading; smaller ones are raised to it.
 };
 
 std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
@@ -82,8 +81,8 @@ struct FoundChange {
   Eigen::MatrixXd columns;
 };
 
-/// The linear problem: constants of each pose and output, and the changes that are accounted for, without
-/// prior; everything else is in the covariance.
+/// The linear problem. Unknowns are a constant for each pose and output and the changes that are accounted
+/// for, without prior; everything else is in the covariance.
 class PoseProblem {
  public:
   PoseProblem(const RunRecord& record, const RoughOutputs& outputs)
@@ -109,7 +108,7 @@ class PoseProblem {
       found.push_back(*std::move(best));
     }
     solve();
-    // Sizes with all of them accounted for.
+    // Sizes from the fit with all changes accounted for.
     std::vector<PoseChange> out;
     Eigen::Index at = constants_;
     for (FoundChange& each : found) {
@@ -141,12 +140,12 @@ class PoseProblem {
     return out;
   }
 
-  /// From the first visit to the last, with the readings' noise and the stage alone.
+  /// Change from the first visit to the last, with the readings' noise and the stage alone.
   PoseTrend trend(PoseChangeKind kind, int output) const {
     PoseTrend out;
     const std::size_t last = visits_.size() - 1;
     const Eigen::VectorXd column = column_of(kind, output, last - 1);
-    // Of the last visit against the first: those between have columns of their own.
+    // Only the last visit is compared with the first: those between have columns of their own.
     Eigen::MatrixXd free = free_.leftCols(constants_);
     for (std::size_t k = 1; k < last; ++k) {
       for (const PoseChangeKind other : {PoseChangeKind::kGain, PoseChangeKind::kOffset})
@@ -181,7 +180,7 @@ class PoseProblem {
 
   void collect(const RunRecord& record) {
     const std::vector<double> t = check_time_fractions(record);
-    // A visit with one pose alone does not tell gain from offset.
+    // A visit with one pose alone cannot separate gain from offset.
     std::map<std::size_t, int> poses_seen;
     for (const CheckDwell& check : record.check_poses)
       if (is_usable(check.dwell)) poses_seen[check.after] |= check.dwell.n;
@@ -375,7 +374,7 @@ std::string dwell_words(const DwellRecord& dwell) {
   return fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
 }
 
-/// Between the two visits: "after experiment 2, alpha = 360 degrees and before the check poses at the end".
+/// "between the check poses of two visits, those at the start and those before experiment 2, alpha = 0 ...".
 std::string interval_words(const RunRecord& record, const CheckPoseStudy& study, std::size_t after_visit) {
   const auto visit_words = [&](const PoseVisit& visit) -> std::string {
     if (visit.after == 0) return "those at the start";

@@ -83,7 +83,7 @@ IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covari
   for (Eigen::Index a = 0; a < count; ++a) {
     const Eigen::Index i = given[static_cast<std::size_t>(a)];
     const double variance = covariance(i, i);
-    // Rounding of the subtraction must not pass for what is known of a difference.
+    // Rounding of the subtraction must not be taken for the variance of a difference.
     if (!(variance > 1e-12 * (covariance_1(i, i) + covariance_2(i, i)))) {
       throw std::invalid_argument(
           fmt::format("comparison of {}: the difference has no uncertainty (variance {}); required: above 0",
@@ -121,7 +121,7 @@ Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second) {
   Covariance12 covariance = Covariance12::Zero();
   for (const OutputEffect& effect : type_b_effects(first)) {
     const bool of_one_angle = effect.name.starts_with("f_");
-    // What the item does differs from run to run, or with how it is mounted.
+    // Effects of the item differ from run to run, or with its mounting.
     if (effect.of_item || (of_one_angle && !same_angles)) continue;
     const auto common = in_second.find(effect.name);
     if (common == in_second.end()) continue;

@@ -25,7 +25,7 @@ IntrinsicValues intrinsic_values(const CalibrationResult& result);
 /// One property in two results (ISO 13528; ISO/IEC 17043).
 struct PropertyDifference {
   double difference = std::numeric_limits<double>::quiet_NaN();            ///< Second minus first.
-  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();  ///< Of the difference.
+  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();  ///< That of the difference.
   double zeta = std::numeric_limits<double>::quiet_NaN();  ///< difference / u; |zeta| <= 2 agrees.
   /// difference / U with U = 2 u; |E_n| <= 1 agrees. Both results' uncertainties are taken at k = 2, so that
   /// E_n is zeta / 2.
@@ -34,10 +34,10 @@ struct PropertyDifference {
 
 struct IntrinsicComparison {
   std::array<PropertyDifference, 9> properties;  ///< NaN where either result does not give the property.
-  std::optional<double> chi2;                    ///< Of all differences together, with their covariances.
+  std::optional<double> chi2;                    ///< All differences together, with their covariances.
   int degrees_of_freedom = 0;                    ///< Properties compared.
   std::optional<double> chi2_probability;        ///< P(chi2 >= found) if the two agree.
-  double largest_e_n = 0.0;                      ///< In magnitude.
+  double largest_e_n = 0.0;                      ///< Largest |E_n|.
   bool agrees() const { return degrees_of_freedom > 0 && largest_e_n <= 1.0; }
 };
 
@@ -45,16 +45,15 @@ struct IntrinsicComparison {
 /// @param shared  covariance between the two results (1 in rows, 2 in columns) where they have errors in
 ///                common; zero if they are independent
 /// @throws std::invalid_argument an uncertainty of a given property that is not above 0, or a shared part
-/// that
-///         leaves nothing of the uncertainty of a difference
+///         that leaves no uncertainty of a difference
 IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covariance9& covariance_1,
                                       const IntrinsicValues& second, const Covariance9& covariance_2,
                                       const Covariance9& shared = Covariance9::Zero());
 
 /// Covariance between the twelve outputs of analyse_abc() of two records measured on the same stage: its
-/// alignment, zeros, initial turns and step errors are taken to be the same both times, as far as they were
-/// drawn upon at the same angles (record 1 in rows, 2 in columns; each in its own units). Drift is each run's
-/// own.
+/// alignment, zeros and initial turns are taken to be the same both times, and its step errors if both runs
+/// have the same angles (record 1 in rows, 2 in columns; each in its own units). Effects of the item, such as
+/// drift, are independent.
 /// @throws std::invalid_argument as type_b_effects()
 Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second);
 
@@ -69,22 +68,22 @@ struct RotationBetween {
   Eigen::Matrix3d rotation = kUnknown;
   double angle_deg = std::numeric_limits<double>::quiet_NaN();  ///< 0..180
   double angle_standard_uncertainty_deg = std::numeric_limits<double>::quiet_NaN();
-  /// Unit vector, right-hand rule. Absent where the angle is not beyond its own uncertainty (k = 2): then no
-  /// axis is known.
+  /// Unit vector, right-hand rule. Absent where the angle does not exceed its expanded uncertainty (k = 2):
+  /// no axis is known then.
   std::optional<Eigen::Vector3d> axis;
-  /// Largest over the directions in which the axis may tilt.
+  /// The largest over the directions in which the axis may tilt.
   double axis_standard_uncertainty_deg = std::numeric_limits<double>::quiet_NaN();
   Eigen::Matrix3d residual = kUnknown;  ///< S_2 T - S_1
   Eigen::Matrix3d residual_standard_uncertainty = kUnknown;
-  /// The same handedness of the axes u, v, w. If not, an axis is reversed or two are swapped, which lengths
-  /// and angles between axes need not show; no rotation makes the two alike, and all numbers here are NaN.
+  /// The axes u, v, w have the same handedness in both. If not, an axis is reversed or two are swapped, which
+  /// lengths and angles between axes need not show; no rotation exists, and all numbers here are NaN.
   bool same_handedness = false;
 
   inline static const Eigen::Matrix3d kUnknown =
       Eigen::Matrix3d::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 
-/// First-order propagation through the rotation.
+/// Uncertainties are propagated through the rotation to first order.
 /// @param shared  covariance between the elements of the two matrices (1 in rows, 2 in columns)
 /// @throws std::invalid_argument a matrix that is not finite or not of full rank
 RotationBetween rotation_between(const Eigen::Matrix3d& first, const MatrixCovariance& covariance_1,

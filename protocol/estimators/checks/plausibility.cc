@@ -66,7 +66,7 @@ std::string_view unit_of(ChangeKind kind) {
   }
 }
 
-/// Which outputs read, within their noise, what they had read at the angle before.
+/// Letters of the outputs whose readings agree, within their noise, with those at the angle before.
 std::string outputs_as_before(const ChangeScan& scan, const Change& change) {
   if (change.at == 0) return {};
   const DwellRecord& before = *scan.dwells[change.at - 1];
@@ -82,13 +82,13 @@ std::string outputs_as_before(const ChangeScan& scan, const Change& change) {
   return outputs;
 }
 
-/// What explains the same nearly as well, as the end of a sentence.
+/// Explanations that are nearly as good, as the end of a sentence.
 std::string alternatives(const Change& change) {
   std::string text;
   for (const ChangeKind kind : change.as_well) {
     switch (kind) {
       case ChangeKind::kSlip:
-        // A slip about any axis can do what a step about one axis does.
+        // The words for a missed step of axis Z name the slip already.
         if (change.kind != ChangeKind::kAxisZ) text += ", or the accelerometer slipped on the platter";
         break;
       case ChangeKind::kAxisX:
@@ -126,7 +126,7 @@ std::string words_of(const ChangeScan& scan, const Change& change, const RunReco
   switch (change.kind) {
     case ChangeKind::kSlip: {
       const Eigen::Vector3d axis = change.size.normalized();
-      // A large turn about z need not be told from one by axis Z: the model is linear.
+      // The linear model may not list axis Z as an alternative for a large turn about z.
       const bool by_z = std::abs(axis.z()) > 0.999 && others.find("axis Z") == std::string::npos;
       return fmt::format(
           "the accelerometer slipped on the platter by {:.3f} degrees about ({:.2f}, {:.2f}, {:.2f}) {}{}{}",
@@ -199,9 +199,9 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
     const double s = scan.sensitivity(j);
     const double prior = record.tolerances.drift;
     const double posterior = scan.u_drift(j) / s;
-    // What the readings say by themselves: the prior pulls the estimate towards zero.
+    // The drift from the readings alone: the prior pulls the estimate towards zero.
     const double shrinkage = 1.0 - posterior * posterior / (prior * prior);
-    if (!(shrinkage > 0.1)) continue;  // the readings say next to nothing
+    if (!(shrinkage > 0.1)) continue;  // the readings hardly determine the drift
     const double drift = scan.drift(j) / s / shrinkage;
     const double noise = posterior / std::sqrt(shrinkage);
     const double within = std::hypot(limit, kFalseAlarmDeviate * noise);
@@ -232,7 +232,7 @@ void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
     std::vector<std::string> places;
     int frozen = 0;
     for (const DwellRecord* dwell : dwells_in_time(record)) {
-      // A spread of zero of all three is one that is not known (a CSV).
+      // If the spreads of all three are zero, they are not known (a CSV).
       const bool one_is_frozen = dwell->spread(j) == 0.0 && dwell->spread.maxCoeff() > 0.0;
       if ((dwell->flags & kFlagStuck) == 0U || !one_is_frozen) continue;
       if (++frozen <= static_cast<int>(kMostNamed))
@@ -286,7 +286,7 @@ void check_temperature(const RunRecord& record, std::vector<Check>& checks) {
 
 // ---- Unit and full scale -------------------------------------------------------------------------------
 
-/// "in m/s2, not in g", "2 times": what a factor that is far from 1 usually is; empty if nothing fits.
+/// Usual cause of a factor that is far from 1: "the readings are in m/s2, not in g"; empty if none fits.
 std::string usual_factor(double factor, const std::string& unit, double tolerance) {
   const auto is = [&](double candidate) { return std::abs(factor / candidate - 1.0) <= tolerance; };
   if (unit == "g" && is(kStandardGravity)) return "the readings are in m/s2, not in g";
@@ -356,7 +356,7 @@ std::string signed_axis(const Eigen::Vector3d& row) {
   return fmt::format("{}{}", row(at) < 0.0 ? "-" : "+", kAxes[static_cast<std::size_t>(at)]);
 }
 
-/// What turns the expected directions into those found; both are signed permutations.
+/// Errors that turn the expected directions into those found; both are signed permutations.
 std::string cause_of(const Eigen::Matrix3d& expected, const Eigen::Matrix3d& found) {
   std::vector<std::string> causes;
   const Eigen::Matrix3d columns = expected.transpose() * found;  // found = expected * columns
@@ -387,7 +387,7 @@ std::string cause_of(const Eigen::Matrix3d& expected, const Eigen::Matrix3d& fou
                                : swapped         ? "exchanged"
                                                  : "exchanged in turn",
                                fmt::join(outputs, ", ")));
-  // An axis of the stage that counts backwards looks like this and leaves no other mark.
+  // A stage axis with the wrong sign has the same effect, and nothing else shows it.
   const auto is = [&](double x, double y, double z) {
     return columns.isApprox(Eigen::Vector3d(x, y, z).asDiagonal().toDenseMatrix());
   };
@@ -424,10 +424,10 @@ void check_directions(const RunRecord& record, const CalibrationResult& result, 
   checks.push_back(std::move(check));
 }
 
-/// Whether the readings state no uncertainties and leave too few residuals to find the noise from: of three
-/// readings an angle one goes to its step error, and twelve to the outputs.
+/// Whether the readings state no uncertainties and leave too few residuals to estimate the noise: one of the
+/// three readings at each angle determines its step error, and twelve in all determine the outputs.
 bool tells_little(const RunRecord& record) {
-  constexpr int kFewFree = 24;  // Their scatter is known to 14 %.
+  constexpr int kFewFree = 24;  // The scatter of 24 residuals is known to 14 %.
   int usable = 0;
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.u_mean && dwell.u_mean->minCoeff() > 0.0) return false;
@@ -473,7 +473,7 @@ std::vector<Check> check_record(const RunRecord& record) {
     check_changes(record, scan, checks);
     if (scan.too_large) return checks;
     check_drift(record, scan, checks);
-    // Without what a wrong angle or a slip did to it.
+    // These sensitivities are free of the effects of wrong angles and slips.
     check_full_scale(record, scan.sensitivity, scan.u_sensitivity, checks);
   } catch (const UnusableData& error) {
     checks.push_back(

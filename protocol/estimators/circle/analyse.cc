@@ -56,7 +56,7 @@ std::optional<double> variance_at(const std::optional<Matrix>& covariance, Eigen
   return (*covariance)(i, i);
 }
 
-/// The readings that the fits may use, and what was found out about the others.
+/// The readings that the fits may use, and information on the others.
 struct Selection {
   std::vector<const DwellRecord*> dwells;
   std::vector<double> time_fractions;
@@ -115,8 +115,8 @@ SeriesTable series_of(const Selection& selection) {
 
 /// The effects as one output sees them, times their standard uncertainties (R).
 struct OutputEffects {
-  Eigen::MatrixXd together;  ///< dwells x effects: those that act on many readings.
-  Eigen::VectorXd alone;     ///< Of each dwell: variance of what acts on its reading alone (R^2).
+  Eigen::MatrixXd together;  ///< Effects that act on many readings: dwells x effects.
+  Eigen::VectorXd alone;     ///< For each dwell: variance of the effects on its reading alone (R^2).
 };
 
 /// Everything between the fits and the result.
@@ -130,18 +130,18 @@ struct Estimate {
   std::optional<Covariance27> covariance_a;
   Covariance27 covariance_b;
   std::vector<InputEffect> effects;            ///< All but k2 and k3.
-  std::vector<InputEffect> curvature_effects;  ///< k2 and k3: what the correction leaves of them.
+  std::vector<InputEffect> curvature_effects;  ///< k2 and k3: effects that remain after the correction.
   std::optional<CurvatureFit> curvature;
-  SeriesTable cleaned;                          ///< The series without what k2 and k3 explain.
-  FitTable cleaned_fits;                        ///< Of one harmonic.
+  SeriesTable cleaned;                          ///< The series minus the effects of k2 and k3.
+  FitTable cleaned_fits;                        ///< Fits with one harmonic.
   std::array<OutputEffects, 3> output_effects;  ///< All but k2 and k3, as each output sees them.
-  std::vector<InputEffect> cleaned_effects;     ///< The same in series without what k2 and k3 explain.
+  std::vector<InputEffect> cleaned_effects;     ///< `effects` in the series minus the effects of k2 and k3.
   AbcOutputs outputs;                           ///< Corrected: the line response.
   double resolution = 0.0;
   std::string response_unit;
   std::optional<Covariance12> output_covariance_a;
   Covariance12 output_covariance_b = Covariance12::Zero();
-  std::vector<EffectShare> shares;  ///< Of the effects, in the diagonal of output_covariance_b.
+  std::vector<EffectShare> shares;  ///< Shares of the effects in the diagonal of output_covariance_b.
 };
 
 std::string not_determined(const ReadingSeries& series, const char* reason) {
@@ -167,7 +167,7 @@ void pool_variances(const FitTable& fits, const CurvatureFit& curvature, Estimat
   }
 }
 
-// Type A covariance of one fit; absent where nothing tells the scatter of a reading.
+// Type A covariance of one fit; absent where the scatter of a reading is not known.
 std::optional<Eigen::MatrixXd> type_a_of(const HarmonicFit& fit, std::optional<double> reading_variance) {
   if (fit.weighted) return fit.cofactor;
   if (!reading_variance) return std::nullopt;
@@ -202,7 +202,7 @@ AbcCoefficients effect_on_coefficients(const InputEffect& effect, const SeriesTa
   return change;
 }
 
-// What a unit of the input does to the outputs, less what it does to the measurand.
+// Change of the outputs minus the change of the measurand for one unit of the input.
 Eigen::Matrix<double, 12, 1> effect_on_outputs(const InputEffect& effect, const Estimate& estimate) {
   const CurvatureFit& curvature = *estimate.curvature;
   return product_with_vector(abc_equations(),
@@ -243,7 +243,7 @@ void fill_output_covariances(Estimate& estimate, double resolution) {
     }
   }
   if (!(resolution > 0.0)) return;
-  // A rounding error of its own in every reading.
+  // Each reading has an independent rounding error.
   InputEffect rounding;
   for (std::size_t n = 0; n < estimate.series.front().place_of.size(); ++n) {
     for (int j = 0; j < 3; ++j) {
@@ -279,7 +279,7 @@ Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution)
 }
 
 /// Effective degrees of freedom (Welch-Satterthwaite, JCGM 100 G.4.1) of a linear combination of the twelve
-/// outputs: those of type A where it rests on the residuals, infinite those of type B and of stated noise.
+/// outputs: type A has those of the residuals, type B and stated noise have infinitely many.
 double effective_degrees(const Estimate& estimate, const Eigen::Matrix<double, 1, 12>& by_output,
                          double variance) {
   if (!estimate.output_covariance_a) return std::numeric_limits<double>::infinity();
@@ -344,7 +344,7 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
   }
 }
 
-/// Collects what speaks against the result, in words.
+/// Collects objections to the result, each as a sentence.
 class Objections {
  public:
   void add(std::string sentence) { sentences_.push_back(std::move(sentence)); }
@@ -371,14 +371,14 @@ double degrees_of_readings(const Estimate& estimate, std::size_t output) {
                                            : std::numeric_limits<double>::infinity();
 }
 
-/// Type A and B together, with type A larger by this factor.
+/// Type A and B combined, with type A multiplied by `factor`.
 double with_larger_type_a(const Quantity& quantity, double factor) {
   return std::hypot(quantity.type_a.value_or(0.0) * factor, quantity.type_b.value_or(0.0));
 }
 
-// Beyond its uncertainty, and beyond the rounding of numbers of this size. Where few residuals tell type A
-// its share of the limit is that of Student's distribution: 20 standard uncertainties for 6 of them.
-// (Effective degrees of freedom would not do: an estimate of type A that is small by chance makes them many.)
+// True if the value exceeds its uncertainty and the rounding of numbers of this size. Where type A rests on
+// few residuals its share of the limit is that of Student's distribution: 20 standard uncertainties for 6.
+// (Effective degrees of freedom are no substitute: a type A that is small by chance makes them large.)
 bool contradicts_zero(const Quantity& quantity, double degrees_of_type_a, double scale) {
   Quantity of_type_a;
   of_type_a.degrees_of_freedom = degrees_of_type_a;
@@ -402,7 +402,7 @@ std::optional<double> variance_of(const std::optional<Eigen::VectorXd>& variance
   return (*variances)(i);
 }
 
-/// The coefficients of a fit by the readings of its output: coefficients x dwells.
+/// Derivatives of a fit's coefficients by the readings of its output: coefficients x dwells.
 Eigen::MatrixXd by_dwell_of(const HarmonicFit& fit, const ReadingSeries& series) {
   Eigen::MatrixXd out =
       Eigen::MatrixXd::Zero(fit.coefficients.size(), static_cast<Eigen::Index>(series.place_of.size()));
@@ -413,8 +413,8 @@ Eigen::MatrixXd by_dwell_of(const HarmonicFit& fit, const ReadingSeries& series)
   return out;
 }
 
-/// The same of a fit to a series without what k2 and k3 explain: these were estimated from all readings of
-/// the output, so that an effect in one experiment reaches the others.
+/// As by_dwell_of(), for a fit to a series minus the effects of k2 and k3: these were estimated from all
+/// readings of the output, so that an effect in one experiment reaches the others.
 Eigen::MatrixXd cleaned_by_dwell(const HarmonicFit& fit, const ReadingSeries& series,
                                  const CurvatureFit& curvature) {
   const auto output = static_cast<std::size_t>(series.accelerometer);
@@ -425,11 +425,11 @@ Eigen::MatrixXd cleaned_by_dwell(const HarmonicFit& fit, const ReadingSeries& se
 }
 
 struct Variances {
-  std::optional<Eigen::VectorXd> a;  ///< Of the readings; absent: nothing tells their scatter.
-  Eigen::VectorXd b;                 ///< Of the effects and the resolution.
+  std::optional<Eigen::VectorXd> a;  ///< Type A, of the readings; absent: scatter not known.
+  Eigen::VectorXd b;                 ///< Type B, of the effects and the resolution.
 };
 
-/// Of linear functions (rows) of an output's readings (columns: dwells).
+/// Variances of linear functions (rows) of an output's readings (columns: dwells).
 Variances variances_of(const Eigen::MatrixXd& by_dwell, const Estimate& estimate, std::size_t output) {
   const OutputEffects& effects = estimate.output_effects[output];
   const Eigen::MatrixXd squares = by_dwell.cwiseAbs2();
@@ -456,7 +456,7 @@ Variances variances_of(const Eigen::MatrixXd& by_dwell, const Estimate& estimate
   return out;
 }
 
-/// The effects by output, and as they are in series without what k2 and k3 explain.
+/// Fills the effects as each output sees them, and the effects in the series minus those of k2 and k3.
 void arrange_effects(Estimate& estimate) {
   const auto dwells = static_cast<Eigen::Index>(estimate.series.front().place_of.size());
   const auto many = std::count_if(estimate.effects.begin(), estimate.effects.end(),
@@ -469,7 +469,7 @@ void arrange_effects(Estimate& estimate) {
     InputEffect& cleaned = estimate.cleaned_effects.emplace_back(effect);
     const auto first = static_cast<Eigen::Index>(effect.first_reading);
     const double u = effect.standard_uncertainty;
-    if (effect.effect.size() == 1) {  // a step error; of what it does to k2 and k3 little comes back to it
+    if (effect.effect.size() == 1) {  // a step error; its effect by way of k2 and k3 is neglected
       for (std::size_t j = 0; j < 3; ++j) {
         const double change = u * effect.effect[0](static_cast<Eigen::Index>(j));
         estimate.output_effects[j].alone(first) += change * change;
@@ -544,8 +544,8 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
           degrees = std::numeric_limits<double>::infinity();
           a = (*first.u_mean)(row) * (*first.u_mean)(row) + (*closing->u_mean)(row) * (*closing->u_mean)(row);
         }
-        // The allowed drift over the time between the two, and a stage that comes back within its step
-        // tolerance.
+        // Type B: the allowed drift over the time between the two, and the return of the stage within its
+        // step tolerance.
         double b = 0.0;
         const double size = sensitivity_matrix_of(estimate.outputs).row(row).norm();
         const Eigen::Vector3d y =
@@ -578,7 +578,7 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
   }
 }
 
-// Harmonics of the second fit with their uncertainties, readings (A) and tolerances (B).
+// Harmonics of the second fit with their uncertainties, from readings (type A) and tolerances (type B).
 std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const Eigen::MatrixXd& by_dwell,
                                    std::size_t output, const Estimate& estimate) {
   const Variances variances = variances_of(by_dwell, estimate, output);
@@ -623,9 +623,9 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
         "(non-linearity or "
         "synchronous step errors)",
         diagnostic.experiment, harmonic.order, kAccelerometerNames[j], amplitude, result.response_unit);
-    // What a non-linearity of this size does to the result (docs/theory/uncertainty.md): K2/2 is the second
+    // Errors of the result for a non-linearity of this size (docs/theory/uncertainty.md): K2/2 is the second
     // harmonic and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within
-    // the stated uncertainty (k = 2) it is worth a note only.
+    // the stated uncertainty (k = 2) they only cause a note.
     const double in_offset = harmonic.order == 2 ? amplitude * 2.0 / 3.0 : 0.0;
     const double in_sensitivity = harmonic.order == 3 ? amplitude * 3.0 : 0.0;
     if (in_offset > 2.0 * result.offset[j].standard_uncertainty ||
@@ -740,7 +740,7 @@ void note_type_a(const Selection& selection, const Estimate& estimate, Calibrati
                                              : "the readings carry no standard uncertainty"));
 }
 
-// Why the record cannot be analysed; empty if it can be tried.
+// The reason why the record cannot be analysed; empty if it may be.
 std::string refusal(const RunRecord& record, const Selection& selection) {
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
@@ -792,7 +792,7 @@ void judge_matrix(const Estimate& estimate, Objections& objections) {
   }
 }
 
-// An output that gravity does not move at all: its intrinsic properties do not exist.
+// Names an output that does not respond to gravity: its intrinsic properties do not exist. Empty: none.
 std::string dead_output(const Estimate& estimate) {
   const Eigen::Matrix3d s = sensitivity_matrix_of(estimate.outputs);
   for (Eigen::Index j = 0; j < 3; ++j) {
@@ -812,7 +812,7 @@ std::string dead_output(const Estimate& estimate) {
   return {};
 }
 
-// An output without any response has no directions that a curvature could follow.
+// Names an output without any response: k2 and k3 have no direction there. Empty: none.
 std::string dead_or_flat(const AbcOutputs& outputs) {
   for (int j = 0; j < 3; ++j) {
     const double response = sensitivity_matrix_of(outputs).row(j).norm();
@@ -825,11 +825,11 @@ std::string dead_or_flat(const AbcOutputs& outputs) {
   return {};
 }
 
-/// The shapes of k2 and k3 are those of the linear response at zero, which is known once these are. Each pass
-/// makes the error of the shapes smaller by a factor of k.
+/// Iterates: the shapes of k2 and k3 follow from the linear response at zero, which follows from k2 and k3.
+/// Each pass makes the error of the shapes smaller by a factor of k.
 void correct_for_curvature(const RunRecord& record, const Selection& selection, Estimate& estimate) {
   constexpr int kMostPasses = 5;
-  constexpr double kFound = 1e-10;  // of S, far below any noise
+  constexpr double kFound = 1e-10;  // relative to S, far below any noise
   const AbcOutputs seen = estimate.outputs;
   AbcOutputs at_zero = seen;
   for (int pass = 0; pass < kMostPasses; ++pass) {
@@ -848,8 +848,8 @@ void correct_for_curvature(const RunRecord& record, const Selection& selection, 
   }
 }
 
-// Fits, outputs and what the tolerances do to them, before any judgement. Gives the reason why not, or
-// nothing.
+// Fills fits, outputs and the effects of the tolerances, before any judgement. Returns the reason if that is
+// impossible, else an empty string.
 std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
   estimate.series = series_of(selection);
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
@@ -937,7 +937,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   judge_effects(record, estimate, result, objections);
   note_missing_angles(record, selection, result);
   note_type_a(selection, estimate, result, objections);
-  add_voltmeter(record.tolerances, result);  // After the checks: no reading shows it.
+  add_voltmeter(record.tolerances, result);  // After the checks: no reading shows its gain.
 
   if (!objections.empty()) {
     result.verdict = Verdict::kDoubtful;

@@ -24,18 +24,18 @@ struct AnalysisOptions {
 /// no numbers.
 CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& options = {});
 
-/// What one input quantity that is known by the size of its effect does to the twelve outputs of
-/// analyse_abc(): what ABC sees of it (after its correction for k2 and k3) minus what is meant, the line
-/// response.
+/// First-order effect of one input quantity, known by the size of its effect, on the twelve outputs of
+/// analyse_abc(): the change of the ABC result (after its correction for k2 and k3) minus the change of the
+/// measurand, the line response.
 struct OutputEffect {
   std::string name;      ///< As in InputEffect: "Zx", "d2", "F_X", "f_1(3)", "drift u, of order 1".
   std::string group;     ///< As in InputEffect: one line of a budget.
-  std::string unit;      ///< Of the input.
-  bool of_item = false;  ///< Of the item, not of the stage.
-  double standard_uncertainty = 0.0;  ///< Of the input, in its unit.
+  std::string unit;      ///< Unit of the input.
+  bool of_item = false;  ///< True: an effect of the item, not of the stage.
+  double standard_uncertainty = 0.0;  ///< That of the input, in its unit.
   Eigen::Matrix<double, 12, 1>
-      change;  ///< Of the outputs (order of Covariance12) for one standard uncertainty.
-  /// The same of the ABC equations alone, without the correction for k2 and k3: the published protocol.
+      change;  ///< Change of the outputs (order of Covariance12) for one standard uncertainty.
+  /// Change by the ABC equations alone, without the correction for k2 and k3: the published protocol.
   Eigen::Matrix<double, 12, 1> published_change;
 };
 

@@ -8,10 +8,10 @@
 namespace abcal {
 namespace {
 
-/// A shape of which the angles leave less than this share after constant and first harmonic is not
-/// determined.
+/// A shape is not determined if less than this share (squared) is left after constant and first harmonic at
+/// the angles.
 constexpr double kDetermined = 1e-4;
-/// Two shapes that are alike but for this share (squared) are not told apart: k3 is kept.
+/// Two shapes that differ by less than this share (squared) cannot be separated: k3 alone is fitted.
 constexpr double kToldApart = 1e-3;
 /// The slope of S y^3 over all directions of gravity.
 constexpr double kLineSlope = 0.6;
@@ -41,7 +41,7 @@ CurvatureFit::CurvatureFit(std::span<const DwellRecord* const> dwells, std::span
   }
   for (int j = 0; j < 3; ++j) fit_output(j, dwells, series, fits, wanted);
   for (int j = 0; j < 3; ++j) {
-    // What the equations see of each shape, less the line: k2/3 in the offset, 3/5 k3 of the row.
+    // ABC result for each shape minus its line response: k2/3 in the offset, 3/5 k3 of the row.
     for (int m = 0; m < 2; ++m) {
       const Eigen::Index column = 2 * j + m;
       if (cofactor_(column, column) == 0.0) continue;

@@ -11,8 +11,8 @@
 
 namespace abcal {
 
-/// So many standard uncertainties away from what it should be, a diagnostic contradicts the model. A run has
-/// some 70 of them (15 closures, 9 residuals, 36 harmonics, 9 closing differences); at 1e-6 each, seven in
+/// Deviation, in standard uncertainties, above which a diagnostic contradicts the model. A run has some 70
+/// diagnostics (15 closures, 9 residuals, 36 harmonics, 9 closing differences); at 1e-6 each, seven in
 /// 100 000 sound runs are called doubtful.
 inline constexpr double kContradictionLevel = kFalseAlarmDeviate;
 

@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kRadianPerDegree = std::numbers::pi / 180.0;
 
-/// The record's readings as the effects see them.
+/// Pose, gravity and linear response at each reading of the record.
 struct EffectPlaces {
   std::vector<StagePose> poses;
   std::vector<GravityAt> gravity;
@@ -37,7 +37,7 @@ EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<con
   return out;
 }
 
-/// What a budget shows an unknown in, and how large that is in the table's unit.
+/// Unit in which a budget shows an unknown, and the size of that unit in the table's unit.
 std::pair<std::string, double> shown_unit(const StageEffect& effect) {
   if (effect.unit == "1") return {"1", 1.0};
   if (effect.key == "wobble_urad") return {"urad", 1e-6};

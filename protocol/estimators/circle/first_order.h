@@ -12,12 +12,12 @@
 
 namespace abcal {
 
-/// An input quantity that is known only by the size of its effect, and what it does to the readings, to first
+/// An input quantity that is known only by the size of its effect, and its effect on the readings, to first
 /// order.
 struct InputEffect {
   std::string name;   ///< "Zx", "d2", "F_X", "f_1(3)", "drift u", "wobble of X, cos 1/rev ..."
   std::string group;  ///< One line of a budget: "wobble of X", "f_1", "drift".
-  std::string key;    ///< Of its size.
+  std::string key;    ///< Key of its size in the bench file.
   std::string unit;   ///< "1", "degree", "urad", "R" (the record's response unit)
   double standard_uncertainty = 0.0;  ///< In that unit.
   std::size_t first_reading = 0;  ///< The effect below begins at this reading; it is zero before and after.
@@ -25,17 +25,17 @@ struct InputEffect {
       effect;  ///< Change of r_u, r_v, r_w (R) for a change of the input by one unit.
   /// Change of the measurand (line response; order of Covariance12) for a change of the input by one unit.
   Eigen::Matrix<double, 12, 1> line = Eigen::Matrix<double, 12, 1>::Zero();
-  const ItemEffect* item = nullptr;  ///< The entry of the table; null: of the stage.
+  const ItemEffect* item = nullptr;  ///< Entry of the table; null: an effect of the stage.
   int item_unknown = 0;
-  int output = -1;  ///< 0, 1, 2; -1: of the stage.
+  int output = -1;  ///< 0, 1, 2 = u, v, w; -1: an effect of the stage.
 };
 
-/// One effect for each unknown of protocol/model/effects.h that `sizes` give a width, and f_i(n) of every
-/// reading (two readings at the same angle have each their own: the stage came back), at a perfect stage with
-/// the accelerometer as estimated.
+/// One effect for each unknown of protocol/model/effects.h whose size is above zero, and f_i(n) of every
+/// reading (each of two readings at the same angle has its own: the stage returned to it), at a perfect stage
+/// with the accelerometer as estimated.
 /// @param dwells          readings in use, in the order of the record; no closing angles
 /// @param time_fractions  their times, -1/2 .. 1/2 over the run
-/// @param accelerometer   estimated sensitivity matrix; its offset plays no part
+/// @param accelerometer   estimated sensitivity matrix; its offset is not used
 std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
                                              std::span<const double> time_fractions,
                                              const AccelerometerModel& accelerometer,

@@ -21,13 +21,13 @@ class UndeterminedFit : public UnusableData {
 struct HarmonicFit {
   int harmonics = 0;
   Eigen::VectorXd coefficients;  ///< In the unit of the readings (R).
-  /// coefficients = estimator * readings: one row a coefficient, one column a reading.
+  /// coefficients = estimator * readings: one row for each coefficient, one column for each reading.
   Eigen::MatrixXd estimator;
   /// (A' W A)^-1, from the R factor. The covariance of the coefficients where the fit is weighted with 1/u^2;
   /// else to be multiplied by the variance of a reading.
   Eigen::MatrixXd cofactor;
   Eigen::VectorXd residuals;          ///< Reading minus fit (R), not weighted.
-  double residual_sum_squares = 0.0;  ///< Of the weighted residuals: chi2 where weighted, else R^2.
+  double residual_sum_squares = 0.0;  ///< Weighted: chi2; else sum of the squares in R^2.
   bool weighted = false;
   int rank = 0;
   /// Smallest over largest singular value of the weighted design with its columns scaled to length 1: 1 is
@@ -37,17 +37,16 @@ struct HarmonicFit {
   int degrees_of_freedom() const { return static_cast<int>(residuals.size() - coefficients.size()); }
 };
 
-/// Least squares by QR with column pivoting, at any angles: other N, other steps, incomplete circles and
-/// unequal weights are all alike (the orthogonality of a uniform full circle is not used). Paper, Eq. 6: A =
+/// Least squares by QR with column pivoting, at any angles: any N and steps, incomplete circles and unequal
+/// weights are permitted (the orthogonality of a uniform full circle is not used). Paper, Eq. 6: A =
 /// S_1, B = C_1, C = constant; one harmonic, or five as a diagnostic (11 coefficients).
 /// @param alpha      desired rotation angles
-/// @param readings   one an angle (R)
-/// @param u          standard uncertainty of each reading (R), > 0; empty: all alike
+/// @param readings   one for each angle (R)
+/// @param u          standard uncertainty of each reading (R), > 0; empty: equal weights
 /// @param harmonics  1 or more
 /// @throws UndeterminedFit       fewer distinct angles (modulo 360 degrees) than coefficients, or a
-/// reciprocal
-///                               condition below 1e-8 (the square root of the rounding unit: beyond it less
-///                               than half of the digits of a reading would be left)
+///                               reciprocal condition below 1e-8 (the square root of the rounding unit:
+///                               fewer than half of the digits of a reading would be left)
 /// @throws std::invalid_argument sizes differ, or a number is not finite, or an uncertainty is not > 0
 HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> readings,
                           std::span<const double> u, int harmonics);

@@ -4,7 +4,7 @@ namespace abcal {
 
 namespace {
 
-// A linear function is known from what it makes of the unit vectors: the equations are written once only.
+// The matrix of a linear function from its values at the unit vectors: the equations are written only once.
 template <int kRows, typename Function>
 Eigen::Matrix<double, kRows, 27> matrix_of(Function function) {
   Eigen::Matrix<double, kRows, 27> matrix;

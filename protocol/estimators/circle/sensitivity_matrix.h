@@ -12,7 +12,7 @@ using AbcCoefficients = Eigen::Matrix<double, 27, 1>;
 
 enum AbcTerm : int { kA = 0, kB = 1, kC = 2 };
 
-/// Where a coefficient stands: experiment 1..3, accelerometer 0..2.
+/// Index of a coefficient: experiment 1..3, accelerometer 0..2.
 constexpr Eigen::Index abc_index(int experiment, int accelerometer, AbcTerm term) {
   return 9 * (experiment - 1) + 3 * accelerometer + static_cast<int>(term);
 }
@@ -32,10 +32,10 @@ constexpr Eigen::Index offset_index(int accelerometer) {
 /// (docs/theory/abc_protocol.md).
 AbcOutputs abc_outputs(const AbcCoefficients& coefficients);
 
-/// The same as a matrix: outputs = abc_equations() * coefficients.
+/// abc_outputs() as a matrix: outputs = abc_equations() * coefficients.
 const Eigen::Matrix<double, 12, 27>& abc_equations();
 
-/// What must vanish for a perfect stage and a linear accelerometer (docs/theory/abc_protocol.md): A1+B3,
+/// Sums that vanish for a perfect stage and a linear accelerometer (docs/theory/abc_protocol.md): A1+B3,
 /// A2-A3, B1-B2, C1-C2, C2-C3, in this order, u v w for each.
 inline constexpr std::array<const char*, 5> kClosureNames{"A1+B3", "A2-A3", "B1-B2", "C1-C2", "C2-C3"};
 using AbcClosures = Eigen::Matrix<double, 15, 1>;

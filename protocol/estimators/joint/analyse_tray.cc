@@ -30,11 +30,11 @@ namespace {
 
 constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
 constexpr double kUradPerRadian = 1e6;
-/// Two items of which more angles than this share have the very same means are one item, read twice: noise
-/// makes no two alike.
+/// Two items whose means are identical at more than this share of the angles are one item, read twice: noise
+/// makes different items differ.
 constexpr double kSameReadings = 0.5;
 
-/// The angles of the stage in the order of measurement, and which of them every dwell of every record is.
+/// The angles of the stage in the order of measurement, and the angle of each dwell of each record.
 class StageAngles {
  public:
   explicit StageAngles(std::span<const RunRecord> records) {
@@ -51,8 +51,8 @@ class StageAngles {
  private:
   using Key = std::tuple<int, int, DwellRole, bool>;
 
-  /// Items read at different rates may have the middle of a dwell at different times, but closer to each
-  /// other than to that of any other dwell.
+  /// Largest time (s) between two items' dwells at one angle. Items read at different rates may have the
+  /// middle of a dwell at different times, but closer to each other than to that of any other dwell.
   static double same_time(const RunRecord& record) {
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t i = 1; i < record.dwells.size(); ++i) {
@@ -89,7 +89,7 @@ class StageAngles {
   std::map<const DwellRecord*, int> place_;
 };
 
-/// The way from the records to the result.
+/// The steps from the records to the result.
 class TrayAnalysis {
  public:
   TrayAnalysis(std::span<const RunRecord> records, const JointOptions& options);
@@ -112,7 +112,7 @@ class TrayAnalysis {
   StageAngles angles_;
   std::vector<std::size_t> members_;
   TrayFit fit_;
-  std::vector<std::pair<std::size_t, std::string>> objections_;  ///< To the results of items.
+  std::vector<std::pair<std::size_t, std::string>> objections_;  ///< Item and objection to its result.
   TrayResult out_;
 };
 
@@ -149,7 +149,7 @@ TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOption
   });
 }
 
-/// Level of each of the tests that ask about all items.
+/// Level of each of the tests of all items together.
 double TrayAnalysis::level() const {
   constexpr std::size_t kTestsOfTheStage = 12;
   return kFamilyWiseFalseAlarm / static_cast<double>(records_.size() + kTestsOfTheStage);
@@ -183,7 +183,7 @@ void TrayAnalysis::set_aside_copies() {
   }
 }
 
-/// Those that are usable on their own; where none is, all that have a result.
+/// Chooses the items that are usable on their own; if none is, all that have a result.
 void TrayAnalysis::choose_members() {
   std::vector<std::size_t> solved;
   const auto sound = [&](std::size_t k) {
@@ -233,7 +233,7 @@ double TrayAnalysis::test_agreement(const TrayFit& fit) {
   return least;
 }
 
-/// Sets aside whoever contradicts the others, the worst first.
+/// Sets aside the items that contradict the others, the worst first.
 void TrayAnalysis::agree() {
   while (members_.size() > 1) {
     if (!fit_members()) {
@@ -293,7 +293,7 @@ void TrayAnalysis::fill_stage(double level) {
          scaled_quantity(fit_.angle_error[a], u_error * u_error, kDegreesPerRadian, "degree")});
   }
   if (members_.size() == 1) {
-    // Its own verdict has these tests.
+    // The tests of one member alone are those of its own verdict.
     for (const EffectTest& test : own_[members_.front()].tests.effects) {
       const bool of_stage =
           std::any_of(stage.unknowns.begin(), stage.unknowns.end(),
@@ -334,7 +334,7 @@ void TrayAnalysis::fill_common() {
   }
 }
 
-/// The gain of a voltmeter that reads several items is no unknown of the fit, but common to them.
+/// Adds the gain of a voltmeter that reads several items: not an unknown of the fit, but common to them.
 void TrayAnalysis::add_shared_voltmeters() {
   const auto effect = [&](std::size_t k) {
     const CalibrationResult& result = out_.items[k].result;
@@ -411,8 +411,7 @@ TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& 
   return TrayAnalysis(records, options).result();
 }
 
-/// What analyse_tray() adds, the checks of the record and the stage, changes nothing in the result of one
-/// item.
+/// The checks of the record and the stage, which analyse_tray() adds, do not change the result of one item.
 CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
   return joint_result(record, fit_item(record, options));
 }

@@ -17,16 +17,16 @@ namespace abcal {
 
 /// One item of a run.
 struct TrayItemResult {
-  /// As that of analyse_joint(), with the stage as all items of the common fit show it. The tests are those
-  /// of the item's own readings. An item outside the common fit has the result of its own fit.
+  /// As that of analyse_joint(), with the stage estimated from all items of the common fit. The tests are
+  /// those of the item's own readings. An item outside the common fit has the result of its own fit.
   CalibrationResult result;
   bool in_common_fit = false;
   std::string why_not;        ///< Why it is not in the common fit; empty if it is.
-  std::vector<Check> checks;  ///< Of its record (check_record).
-  /// By how much its readings raise chi2 above that of the other items alone; NaN where it was not asked.
+  std::vector<Check> checks;  ///< Checks of its record (check_record).
+  /// Increase of chi2 by its readings, over that of the other items alone; NaN where it was not tested.
   double chi2_given_others = std::numeric_limits<double>::quiet_NaN();
   int degrees_of_freedom = 0;
-  double probability = std::numeric_limits<double>::quiet_NaN();  ///< If all agree about the stage.
+  double probability = std::numeric_limits<double>::quiet_NaN();  ///< P(increase as large) if all agree.
 };
 
 /// One unknown of the stage.
@@ -42,8 +42,8 @@ struct StageStep {
   int n = 0;
   DwellRole role = DwellRole::kPlan;
   Quantity value;  ///< Without mean and smooth part, degree.
-  /// By how much more it turned than on the average of the experiment's angles, beyond what was commanded:
-  /// smooth and other step errors together, degree. What the angles tell, whatever the priors.
+  /// Error of the angle turned, minus the mean error over the experiment's angles: smooth and other step
+  /// errors together, degree. It hardly depends on the priors.
   Quantity angle_error;
 };
 
@@ -52,11 +52,11 @@ struct TrayStage {
   int items = 0;
   std::vector<StageQuantity> unknowns;
   std::vector<StageStep> steps;     ///< In the order of measurement; empty if their size is zero.
-  std::vector<EffectTest> effects;  ///< Each against its stated size.
+  std::vector<EffectTest> effects;  ///< Tests of the effects against their stated sizes.
   std::vector<std::string> contradicted_sizes;
 };
 
-/// Of one item: the twelve outputs of Covariance12, then s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree).
+/// Order: the twelve outputs of Covariance12, then s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree).
 using Covariance18 = Eigen::Matrix<double, 18, 18>;
 
 /// The result of a run with one item or several.
@@ -65,14 +65,14 @@ struct TrayResult {
   std::string why = "not analysed";
   std::vector<TrayItemResult> items;  ///< In the order of the records.
   std::optional<TrayStage> stage;
-  int iterations = 0;  ///< Of the common fit.
+  int iterations = 0;  ///< Iterations of the common fit.
 
   /// Covariance of the outputs of item i (rows) with those of item k (columns), from 0. Zero where it is not
   /// known because one of two items is not in the common fit.
   Covariance12 covariance(std::size_t i, std::size_t k) const;
   Covariance18 covariance_of_all_outputs(std::size_t i, std::size_t k) const;
 
-  /// Between the outputs of the items of the common fit, 12 of each in the order of the items.
+  /// Covariance of the outputs of the items of the common fit, 12 for each item in the order of the items.
   Eigen::MatrixXd common_covariance;
 };
 
@@ -81,16 +81,16 @@ struct TrayResult {
 /// own, and its noise is that of its own fit. An item that is doubtful on its own is set aside, so that it
 /// does not spoil the others, as long as one is usable; so is one that contradicts the others about the
 /// stage. One item alone gives the result of analyse_joint().
-/// @param records  one of each item; their order is that of the result
+/// @param records  one for each item; their order is that of the result
 /// @throws std::invalid_argument no records; records that state different sizes of the stage's effects;
 ///         one map of step errors per axis with more than one item; as analyse_joint()
 TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& options = {});
 
-/// The verdict on the tray, and why, from the results of its items: once more where one of them has changed.
+/// Fills the verdict on the tray and its reason from the results of the items; call it again if one changes.
 void judge_tray(TrayResult& tray);
 
-/// Whether two items of a common fit have the same intrinsic properties (item k less item i). What they
-/// share, the stage, cancels.
+/// Compares the intrinsic properties of two items of a common fit (item k minus item i). Errors of the stage,
+/// which they share, cancel.
 /// @throws std::invalid_argument an item that is not in the common fit
 IntrinsicComparison compare_items(const TrayResult& tray, std::size_t i, std::size_t k);
 

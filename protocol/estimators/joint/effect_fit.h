@@ -34,29 +34,29 @@ struct EffectFitOptions {
   bool white_known = true;    ///< false: u is a first guess; the white noise of each output is estimated.
 };
 
-/// One unknown of the fit, in relative units: everything of an output divided by its S_j.
+/// One unknown of the fit, in relative units: quantities of an output are divided by its S_j.
 struct EffectUnknown {
-  std::string effect;  ///< "wobble of X"; "s", "O" for what has no prior.
+  std::string effect;  ///< "wobble of X"; "s", "O" (no prior)
   std::string name;    ///< "wobble of X, cos 1/rev, direction 2"; "drift u, of order 1"
-  std::string key;     ///< Of its size.
-  int output = -1;     ///< 0, 1, 2; -1: of the stage.
+  std::string key;     ///< Key of its size; "s", "O": empty.
+  int output = -1;     ///< 0, 1, 2 = u, v, w; -1: an unknown of the stage.
   double prior_mean = 0.0;
   double prior_sd = std::numeric_limits<double>::infinity();
 };
 
-/// What the noise was found to be, averaged over its posterior.
+/// The noise that the fit found.
 struct NoiseFound {
-  double process_probability = 0.0;  ///< That there is a process; the prior says 1/2.
-  double tau = 0.0;                  ///< Of the most probable process, in units of u; 0: white.
-  double rho = 0.0;                  ///< Angles.
+  double process_probability = 0.0;  ///< Posterior probability of a process; prior: 1/2.
+  double tau = 0.0;  ///< Standard deviation of the most probable process, in units of u; 0: white.
+  double rho = 0.0;  ///< Its correlation length, in angles.
   Eigen::Vector3d white = Eigen::Vector3d::Ones();  ///< White standard deviation over the u given.
   bool white_estimated = false;
 };
 
 /// How much better the readings are explained if a stated size is larger.
 struct SizeEvidence {
-  std::string key;     ///< Of the size; "step_deg, step_smooth_deg": both.
-  double times = 0.0;  ///< How much larger.
+  std::string key;     ///< Key of the size; "step_deg, step_smooth_deg": both.
+  double times = 0.0;  ///< Factor by which it is larger.
   /// Logarithm of the ratio of the readings' densities, each averaged over the noises. If the statement is
   /// right the ratio exceeds 1/p with a probability below p, whatever the noise (Markov's inequality: its
   /// mean is 1).
@@ -67,15 +67,15 @@ struct EffectFit {
   bool converged = false;
   int iterations = 0;
   std::vector<EffectUnknown> unknowns;
-  Eigen::VectorXd value;                           ///< Of the unknowns, relative units.
-  Eigen::MatrixXd covariance;                      ///< Of the unknowns.
-  Eigen::Vector3d unit = Eigen::Vector3d::Ones();  ///< S_j (R): what the relative units are relative to.
+  Eigen::VectorXd value;                           ///< Values of the unknowns, relative units.
+  Eigen::MatrixXd covariance;                      ///< Covariance of the unknowns.
+  Eigen::Vector3d unit = Eigen::Vector3d::Ones();  ///< S_j (R): the relative unit.
 
   /// The measurand: s row by row and O of the line response, in R (R/g_loc).
   Eigen::Matrix<double, 12, 1> line = Eigen::Matrix<double, 12, 1>::Zero();
   Covariance12 covariance_line = Covariance12::Zero();
   Covariance12 covariance_line_type_b = Covariance12::Zero();  ///< The part that comes from the priors.
-  std::vector<EffectShare> shares;                             ///< What covariance_line_type_b is made of.
+  std::vector<EffectShare> shares;                             ///< Contributions to covariance_line_type_b.
   Eigen::Matrix<double, 12, 1> degrees_of_freedom =
       Eigen::Matrix<double, 12, 1>::Constant(std::numeric_limits<double>::infinity());
   /// Derivative of the line response (R) by every reading (R): 3 N x 12, rows u, v, w of each angle.
@@ -85,11 +85,11 @@ struct EffectFit {
   /// their residuals have the covariance I - H. The root is upper triangular.
   ReadingRows whitened_jacobian;
   Eigen::MatrixXd covariance_root;
-  /// The unknowns of the effects that are stated as zero, and what each would add to the whitened readings.
+  /// The unknowns of the effects that are stated as zero, and the whitened readings' derivatives by them.
   std::vector<EffectUnknown> left_out;
   ReadingRows left_out_design;
 
-  /// Where a noise process was found: it may stand for an effect that is larger than stated. Else empty.
+  /// Filled where a noise process was found, which may in fact be an effect larger than stated. Else empty.
   std::vector<SizeEvidence> larger_sizes;
 
   double chi2 = std::numeric_limits<double>::quiet_NaN();  ///< Priors included.

@@ -15,9 +15,9 @@
 namespace abcal {
 namespace {
 
-/// Noise is at least this times S_j, or a noise-free record would leave nothing but round-off.
+/// Least noise in units of S_j: a noise-free record would leave nothing but round-off.
 constexpr double kSmallestRelativeNoise = 1e-9;
-/// No stage stands askew by more (radian): a solution beyond it is none.
+/// Largest possible inclination of a stage axis (radian): a solution beyond it is rejected.
 constexpr double kMostAskew = 0.7;
 
 void effect_require(bool holds, const std::string& message) {
@@ -67,7 +67,7 @@ void EffectModel::check_readings() const {
   }
 }
 
-/// Alignment that was measured otherwise: data, whatever is stated of it.
+/// Alignment measured by other means. It is data, whatever size is stated.
 const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effect) const {
   const MeasuredAlignment& alignment = options_.measured_alignment;
   if (effect == "Zx") return &alignment.zx;
@@ -76,7 +76,7 @@ const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effec
   return nullptr;
 }
 
-/// What is stated as zero is known exactly, and left out.
+/// Effects that are stated as zero are known exactly, and left out.
 void EffectModel::choose_unknowns() {
   const EffectSizes& sizes = options_.sizes;
   for (const ItemEffect& effect : item_effects()) {
@@ -162,7 +162,7 @@ void EffectModel::start_from_linear_fit() {
   const KnownAcsFit start = linear_fit_given_acs(gravity, values);
   unit_ = start.sensitivity_matrix.rowwise().norm();
   for (int j = 0; j < 3; ++j) {
-    // An output that never changes leaves a row of round-off: some ulp of what it reads.
+    // A constant output leaves a row of round-off: some ulp of its readings.
     data_require(unit_(j) > 1e-12 * std::abs(start.offset(j)),
                  fmt::format("accelerometer {} does not respond to gravity at all", "uvw"[j]));
     std::vector<double> u;
@@ -180,7 +180,7 @@ void EffectModel::start_from_linear_fit() {
   jacobian_.resize(residual_.size(), layout_.count());
 }
 
-/// Signs for the hysteresis, once, from the linear solution.
+/// Finds the signs for the hysteresis, once, from the linear solution.
 void EffectModel::find_directions() {
   came_from_.assign(readings_.size(), Eigen::Vector3d::Zero());
   const Eigen::Matrix3d start = rows();
@@ -274,7 +274,7 @@ void EffectModel::move_to(const EffectModel& other, std::vector<double> steps) {
   usual_u_ = usual_u_.cwiseProduct(unit_).cwiseQuotient(other.unit_);
   unit_ = other.unit_;
   Eigen::VectorXd value = Eigen::VectorXd::Zero(layout_.count());
-  // Both list what they have of the table in its order.
+  // Both list their unknowns in the order of the table.
   for (std::size_t i = 0, k = 0; i < unknowns_.size() && k < other.unknowns_.size(); ++i) {
     if (unknowns_[i].name == other.unknowns_[k].name)
       value(static_cast<Eigen::Index>(i)) = other.value_(static_cast<Eigen::Index>(k++));

@@ -35,8 +35,8 @@ struct EffectLayout {
   int count() const { return first_map() + maps; }
 };
 
-/// The model of an effect_fit(): what the readings and their derivatives are at one point. Relative units:
-/// everything of an output is divided by its S_j.
+/// The model of an effect_fit(): the readings and their derivatives at one point. Relative units: quantities
+/// of an output are divided by its S_j.
 class EffectModel {
  public:
   /// The model at the linear solution on a perfect stage.
@@ -51,17 +51,17 @@ class EffectModel {
   const Eigen::VectorXd& value() const { return value_; }
   const Eigen::VectorXd& prior_weight() const { return prior_weight_; }
   Eigen::VectorXd from_prior() const { return value_ - prior_mean_; }
-  double step_sd() const { return step_sd_; }  ///< Of the step errors that are eliminated; 0: none.
+  double step_sd() const { return step_sd_; }  ///< Standard deviation of the eliminated step errors; 0: none.
   const std::vector<double>& steps() const {
     return step_;
-  }  ///< Those step errors, of each reading (radian).
-  /// Goes to another point.
-  /// @param steps  step errors that are eliminated, of each reading (radian)
+  }  ///< Eliminated step error of each reading (radian).
+  /// Moves to another point.
+  /// @param steps  eliminated step error of each reading (radian)
   void move_to(const Eigen::VectorXd& value, std::vector<double> steps);
-  /// Goes to the point of a model of the same item, of other readings or with fewer effects: those that it
-  /// lacks are zero.
+  /// Moves to the point of another model of the same item, with other readings or fewer effects. Effects that
+  /// `other` lacks are zero.
   void move_to(const EffectModel& other, std::vector<double> steps);
-  /// False: an axis stands askew as no stage does, so that the point is no solution.
+  /// False: a stage axis is inclined more than is possible, so that the point is no solution.
   bool is_plausible() const;
   const ReadingRows& jacobian() const { return jacobian_; }
   /// 3 N: reading - model, with the eliminated step errors not in the model.
@@ -78,17 +78,17 @@ class EffectModel {
 
   /// @param white  standard deviations of the outputs' white noise, over the u given
   std::vector<NoiseAtAngle> noise_at_angles(const Eigen::Vector3d& white) const;
-  /// @param tau  in units of each output's usual u
+  /// @param tau  in units of each output's median u
   NoiseProcess process_of(double tau, double rho) const;
   /// Least white noise over the u given that is not round-off.
   Eigen::Vector3d least_white() const;
 
-  /// Rows of the line response by the unknowns, and its value.
+  /// Derivatives of the line response by the unknowns (12 x unknowns), and its value.
   Rows12 line_rows() const;
   Vector12 line_values() const;
 
-  /// What the effects that are stated as zero would add to the readings: one column for each of their
-  /// unknowns, which are listed.
+  /// Derivatives of the readings by the unknowns of the effects that are stated as zero: one column for each
+  /// of these unknowns, which are appended to `unknowns`.
   ReadingRows left_out_columns(std::vector<EffectUnknown>& unknowns) const;
 
  private:
@@ -114,7 +114,7 @@ class EffectModel {
   EffectLayout layout_;
   std::vector<EffectUnknown> unknowns_;
   std::vector<StagePose> poses_;
-  std::vector<StageShare> shares_;  ///< Stage unknowns of reading 0, of reading 1, ...
+  std::vector<StageShare> shares_;  ///< Shares of the stage unknowns in reading 0, in reading 1, ...
   Eigen::Vector3d unit_;
   Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
   std::vector<Eigen::Vector3d> came_from_;

@@ -10,13 +10,13 @@
 
 namespace abcal {
 
-/// An effect_fit() with what it was made of, for a fit that goes on from it (tray_fit.h).
+/// An effect_fit() with its intermediate results, for a fit that continues from it (tray_fit.h).
 struct EffectSolution {
   EffectFit fit;
-  std::optional<EffectModel> model;     ///< At its solution with white noise. It reads the readings given.
-  std::vector<AssumedNoise> noises;     ///< The probable ones.
+  std::optional<EffectModel> model;     ///< Model at the solution with white noise; refers to the readings.
+  std::vector<AssumedNoise> noises;     ///< The probable noises.
   std::vector<double> weights;          ///< Their posterior probabilities.
-  std::vector<double> log_likelihoods;  ///< Of the readings, at each of them.
+  std::vector<double> log_likelihoods;  ///< Log-likelihoods of the readings at each noise.
   WhiteFound white;
 };
 

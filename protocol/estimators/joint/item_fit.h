@@ -11,15 +11,15 @@
 
 namespace abcal {
 
-/// The joint fit of one item's own readings, from which a common fit of several items goes on. The dwells in
-/// `data` live in the record. It may be moved, not copied: the solution reads the readings where they lie.
+/// The joint fit of one item's own readings, from which a common fit of several items continues. The record
+/// owns the dwells in `data`. It may be moved, not copied: the solution refers to the readings in `data`.
 struct ItemFit {
   CollectedReadings data;
   EffectFitOptions options;
-  std::optional<EffectSolution> solution;  ///< Absent: `why` says why.
+  std::optional<EffectSolution> solution;  ///< Absent: `why` gives the reason.
   std::string why;
   JointTests tests;
-  std::vector<std::string> hidden;  ///< What the noise process hides of the stage, in words.
+  std::vector<std::string> hidden;  ///< Stage errors that the noise process hides, in words.
 
   ItemFit() = default;
   ItemFit(ItemFit&&) = default;

@@ -8,7 +8,7 @@
 namespace abcal {
 
 /// The result for one item.
-/// @param common  what the fit of several items says of it; nullptr: its own fit is all there is
+/// @param common  its fit from all items of a common fit; nullptr: its own fit only
 CalibrationResult joint_result(const RunRecord& record, const ItemFit& own,
                                const EffectFit* common = nullptr);
 

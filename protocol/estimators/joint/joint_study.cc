@@ -49,7 +49,7 @@ class TrialNormals {
   double second_ = 0.0;
 };
 
-/// What one run was made with.
+/// The true values from which one run was simulated.
 struct Truth {
   AccelerometerModel accelerometer;  ///< Tilted, in response units.
   AcsErrors acs;
@@ -58,8 +58,8 @@ struct Truth {
 constexpr double kCoverageFactor = 1.959963984540054;  // 97.5 % quantile of N(0, 1)
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-/// Error and posterior uncertainty of one output in one trial; ABC's error beside. For the step errors: mean
-/// squares over all of them.
+/// Error and posterior uncertainty of one output in one trial, and the error of ABC. For the step errors:
+/// mean squares over all of them.
 struct TrialOutput {
   double covered = 0.0;
   double squared_error = 0.0;
@@ -93,9 +93,8 @@ std::vector<std::string> output_names() {
   return names;
 }
 
-/// Readings by the equations of docs/theory/model.md as they stand (the fit turns gravity instead, with
-/// closed forms of its own): every row of the matrix is turned with the stage, and its z component is what
-/// gravity acts on.
+/// Readings by the literal equations of docs/theory/model.md (the fit turns gravity instead, with closed
+/// forms of its own): every row of the matrix is turned with the stage, and gravity acts on its z component.
 Eigen::Vector3d readings_at(const Truth& truth, int experiment, int n, Angle alpha, double t) {
   const AcsErrors& acs = truth.acs;
   const Eigen::Vector3d x = acs.alignment.x_axis();
@@ -212,7 +211,7 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
   const Truth truth = draw_truth(options, normal);
   const RunRecord record = simulated_run(options, truth, normal);
   JointOptions joint_options = options.joint;
-  joint_options.noise_process = false;  // its noise is white
+  joint_options.noise_process = false;  // the simulated noise is white
   const CalibrationResult result = analyse_joint(record, joint_options);
   Trial trial;
   if (!result.joint || !result.sensitivity_matrix) return trial;
@@ -291,7 +290,7 @@ void check(const JointStudyOptions& options) {
   size(options.drift, "drift", true);
   size(options.diagonal_sd, "spread of the diagonal", true);
   size(options.off_diagonal_sd, "spread of the off-diagonal elements", true);
-  // A wrong size is found here, not in the middle of the first trial.
+  // A wrong size is reported here, not in the middle of the first trial.
   for (const EffectSizeKey& key : effect_size_keys())
     size(key.get(options.tolerances), std::string(key.key).c_str(), true);
 }
@@ -335,11 +334,11 @@ JointStudy run_joint_study(const JointStudyOptions& options) {
     work();
   }
   if (failure) std::rethrow_exception(failure);
-  // Every trial that was taken was also made: what an interrupt leaves is the first so many, without a gap.
+  // Every trial that was started was completed: after an interrupt the first trials remain, without a gap.
   trials.resize(std::min(trials.size(), next.load()));
   if (trials.empty()) throw std::runtime_error("joint study: interrupted before its first trial");
 
-  // Trials are summed in their order, whoever computed them.
+  // Trials are summed in their order, whichever thread computed them.
   JointStudy study;
   study.options = options;
   study.trials = static_cast<int>(trials.size());

@@ -11,8 +11,8 @@
 
 namespace abcal {
 
-/// What the simulated runs of a study are drawn from (docs/theory/joint_estimator.md). Everything in units of
-/// a response of 1 per g_loc; `scale` multiplies the response afterwards.
+/// Distributions of the simulated runs of a study (docs/theory/joint_estimator.md). Responses are in units of
+/// 1 per g_loc; `scale` multiplies them afterwards.
 struct JointStudyOptions {
   int trials = 2000;
   std::uint64_t seed = 1;
@@ -23,10 +23,10 @@ struct JointStudyOptions {
   int steps = 72;                ///< N
   double diagonal_sd = 0.1;      ///< s_ux, s_vy, s_wz ~ N(1, this).
   double off_diagonal_sd = 0.1;  ///< The other elements of s and O ~ N(0, this).
-  Tolerances tolerances;         ///< Of what is drawn and of the priors.
-  JointOptions joint;            ///< Of the estimator.
+  Tolerances tolerances;         ///< Sizes of the errors drawn and of the priors.
+  JointOptions joint;            ///< Options of the estimator.
   int threads = 1;               ///< The result does not depend on it.
-  std::stop_token stop = {};     ///< Asked between trials; the study is then of the trials made so far.
+  std::stop_token stop = {};     ///< Tested between trials; the study then has the trials made so far.
   /// Called now and then, by one thread at a time, with the trials made and planned.
   std::function<void(int, int)> progress = {};
 };
@@ -34,19 +34,19 @@ struct JointStudyOptions {
 /// One output over all trials.
 struct JointStudyOutput {
   std::string name;       ///< "s_ux" ... "O_w", "|s_u|", "phi_uv", "k2_u", "zx", ...
-  int trials = 0;         ///< In which it was an unknown of the fit.
+  int trials = 0;         ///< Trials in which it was an unknown of the fit.
   double coverage = 0.0;  ///< Share of trials with the truth inside +-1.96 posterior uncertainties.
   double rms_error = 0.0;
-  double rms_uncertainty = 0.0;  ///< Posterior.
-  double abc_rms_error = 0.0;    ///< Of plain ABC on the same runs; NaN where ABC has no such output.
+  double rms_uncertainty = 0.0;  ///< Root mean square of the posterior one.
+  double abc_rms_error = 0.0;    ///< That of plain ABC on the same runs; NaN where ABC has no such output.
   double ratio() const { return rms_error / rms_uncertainty; }
 };
 
 struct JointStudy {
   JointStudyOptions options;
-  int trials = 0;  ///< Made; fewer than planned if interrupted.
+  int trials = 0;  ///< Trials made; fewer than planned if interrupted.
   bool interrupted = false;
-  int failed = 0;                  ///< Trials whose fit did not converge; none of them is counted above.
+  int failed = 0;                  ///< Trials whose fit did not converge; not counted in the members below.
   int nonlinearity_fitted = 0;     ///< Trials in which k2, k3 were unknowns.
   int not_usable_or_doubtful = 0;  ///< Trials with a verdict other than usable.
   double mean_chi2_per_dof = 0.0;
@@ -59,8 +59,8 @@ struct JointStudy {
   const JointStudyOutput& output(const std::string& name) const;
 };
 
-/// Simulated runs through the joint estimator and through plain ABC. Trial k draws from its own counter-based
-/// stream (Philox, key = seed, counter = trial), and sums are merged in blocks of trials, so the result is
+/// Analyses simulated runs by the joint estimator and by plain ABC. Trial k draws from its own counter-based
+/// stream (Philox, key = seed, counter = trial), and the trials are summed in their order, so the result is
 /// the same for any number of threads.
 /// @throws std::invalid_argument trials < 1, threads < 1, steps < 5, a negative or not finite size
 JointStudy run_joint_study(const JointStudyOptions& options);

@@ -19,17 +19,16 @@
 namespace abcal {
 namespace {
 
-/// A direction of an effect of which the run tells less than this share of the prior's variance is not
-/// tested.
+/// A direction of an effect is not tested if the run reduces the prior's variance by less than this share.
 constexpr double kInformative = 0.02;
-/// Of an effect that is stated as zero the fit may leave little (of y^5 its fifth harmonic, 0.8 %); what is
-/// left is known as well as any reading. Below this share it is round-off.
+/// The fit may absorb most of an effect that is stated as zero (it leaves 0.8 % of y^5, the fifth harmonic);
+/// the remainder is known as well as any reading. Below this share it is round-off.
 constexpr double kLeftByTheFit = 1e-6;
-/// Fewer whitened residuals that are free tell nothing of their correlation.
+/// Least degrees of freedom of the whitened residuals at which their correlation is tested.
 constexpr double kFewestFree = 20.0;
-/// A process less probable than this is not told.
+/// A process less probable than this is not reported.
 constexpr double kProcessTold = 0.5;
-/// Standard uncertainties from which on a drift is told.
+/// A drift above this number of standard uncertainties is reported.
 constexpr double kDriftTold = 3.0;
 
 bool same_effect(const EffectUnknown& a, const EffectUnknown& b) {
@@ -65,7 +64,7 @@ EffectTest test_effect(const EffectFit& fit, Eigen::Index first, Eigen::Index co
   return test;
 }
 
-/// The step errors without memory, as the estimates that they are.
+/// Tests the estimates of the step errors without memory against their stated size.
 EffectTest test_steps(const EffectFit& fit, double step_sd) {
   EffectTest test;
   test.name = "step errors";
@@ -86,7 +85,7 @@ EffectTest test_steps(const EffectFit& fit, double step_sd) {
   return test;
 }
 
-/// An effect that is stated as zero: what the whitened residuals say of its unknowns (score test).
+/// Tests the unknowns of an effect that is stated as zero by the whitened residuals (score test).
 EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const Eigen::VectorXd& residual,
                          Eigen::Index first, Eigen::Index count) {
   const EffectUnknown& unknown = fit.left_out[static_cast<std::size_t>(first)];
@@ -99,7 +98,7 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
   const Eigen::VectorXd own = columns.colwise().squaredNorm().transpose();
   const Eigen::VectorXd scale =
       own.unaryExpr([](double square) { return square > 0.0 ? 1.0 / std::sqrt(square) : 0.0; });
-  const Eigen::MatrixXd taken = transposed_product_by_rows(design, columns);  // by the unknowns of the fit
+  const Eigen::MatrixXd taken = transposed_product_by_rows(design, columns);  // absorbed by the fit
   const Eigen::MatrixXd left = scaled_on_both_sides(
       transposed_product_by_rows(columns, columns) - transposed_product(taken, taken), scale);
   const Eigen::VectorXd score = scale.cwiseProduct(transposed_product_by_rows_with_vector(columns, residual));
@@ -115,7 +114,7 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
   return test;
 }
 
-/// Whether a larger size explains what was taken for a wandering noise.
+/// Tests whether a larger size explains the readings better than a noise process.
 EffectTest test_evidence(const SizeEvidence& evidence) {
   EffectTest test;
   test.name = "size";
@@ -151,7 +150,7 @@ class ResidualBand {
 };
 
 /// Sum of products of successive whitened residuals of one output, in standard deviations. The fit itself
-/// correlates them: their covariance is I - H, of which a band is enough.
+/// correlates them: their covariance is I - H, a band of which is sufficient.
 double lag_one(const EffectFit& fit, const ReadingRows& design, int output) {
   const ResidualBand at(design, output);
   double products = 0.0;
@@ -172,9 +171,9 @@ double lag_one(const EffectFit& fit, const ReadingRows& design, int output) {
   return (products - expected) / std::sqrt(variance);
 }
 
-/// The deviate that a sum of products of successive residuals passes with this probability, on either side.
-/// Of `count` products the excess kurtosis is 18/count (Cornish and Fisher's expansion about the normal
-/// deviate).
+/// The deviate that a sum of products of successive residuals exceeds with this probability, on either side.
+/// The excess kurtosis of a sum of `count` products is 18/count (Cornish and Fisher's expansion about the
+/// normal deviate).
 double deviate_of_products(double probability, std::size_t count) {
   const double z = -normal_quantile(0.5 * probability);
   return z + 18.0 / static_cast<double>(count) / 24.0 * (z * z * z - 3.0 * z);
@@ -215,7 +214,7 @@ std::string words_about_noise(const EffectFit& fit, const RunRecord& record) {
       fit.noise.process_probability);
 }
 
-/// Where an offset drifted by more than its uncertainty explains: what O means then.
+/// Adds a note on the meaning of O where an offset drifted by more than its uncertainty explains.
 void note_drifts(CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& end = result.joint->drift_at_end[j];
@@ -263,7 +262,7 @@ JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectF
   });
   add_steps(fit, options.sizes.step.rad(), out.effects);
   for (const SizeEvidence& evidence : fit.larger_sizes) out.effects.push_back(test_evidence(evidence));
-  // With chi2, three autocorrelations and the comparison with the norm fit.
+  // The 5 others are chi2, three autocorrelations and the comparison with the norm fit.
   const auto tests = static_cast<double>(out.effects.size() + 5);
   out.level = kFamilyWiseFalseAlarm / tests;
   for (EffectTest& test : out.effects) test.passed = test.probability >= out.level;

@@ -10,19 +10,19 @@
 
 namespace abcal {
 
-/// What one noise says of the line response; relative units.
+/// The line response at one noise; relative units.
 struct LineAtNoise {
-  Vector12 change = Vector12::Zero();  ///< Of the model's line_values(), with the mean of the process.
+  Vector12 change = Vector12::Zero();  ///< Change of the model's line_values(), with the mean of the process.
   Covariance12 covariance = Covariance12::Zero();
-  std::vector<Covariance12> shares;  ///< Of the priors, group by group.
+  std::vector<Covariance12> shares;  ///< Contributions of the priors, group by group.
   ReadingRows gain;                  ///< 3 N x 12
 };
 
 /// The unknowns that make one line of a budget.
 struct ShareGroups {
   std::vector<EffectShare> groups;
-  std::vector<int> of_unknown;  ///< -1: no prior.
-  int first_step = -1;          ///< f_1, f_2, f_3; -1: no step errors are eliminated.
+  std::vector<int> of_unknown;  ///< Group of each unknown; -1: no prior.
+  int first_step = -1;          ///< Group of f_1, followed by f_2, f_3; -1: no step errors are eliminated.
 };
 
 ShareGroups share_groups(const EffectModel& model);
@@ -41,7 +41,7 @@ void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& 
 /// R of each of the twelve outputs for one relative unit.
 Vector12 units_of_line(const Eigen::Vector3d& unit);
 
-/// From relative units to those of the readings: the line response, its covariances and its gain.
+/// Converts the line response, its covariances and its gain from relative units to those of the readings.
 void restore_units(EffectFit& fit);
 
 }  // namespace abcal

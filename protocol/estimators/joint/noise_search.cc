@@ -15,9 +15,9 @@ namespace abcal {
 namespace {
 
 /// The grid of the noise process: rho in angles with its prior probability, tau in units of u. Effects of the
-/// stage and drifts take most of what is slow in the readings, so that a run tells little of rho; the longer
-/// it is the larger are the uncertainties. Slow processes stand closer: what differs is their change from
-/// angle to angle, tau sqrt(2/rho), and one that changes as the readings do must be there for each rho.
+/// stage and drifts absorb most slow changes of the readings, so that a run hardly determines rho; the longer
+/// it is the larger are the uncertainties. The grid is finer for slow processes: they differ by their change
+/// from angle to angle, tau sqrt(2/rho), and for each rho the grid must contain the change of the readings.
 struct CorrelationLength {
   double rho, prior;
   std::span<const double> tau;
@@ -29,20 +29,21 @@ constexpr std::array<CorrelationLength, 4> kGrid{CorrelationLength{2.0, 0.1, kTa
                                                  {50.0, 0.25, kTauOfSlow},
                                                  {400.0, 0.5, kTauOfSlow}};
 /// Readings that scatter less than stated (chi2 below this share of its degrees of freedom): the stated noise
-/// may itself be the process, with little white noise, or the white noise is small. The uncertainties then
-/// stay those of the stated white noise; it only competes as what it is.
+/// may itself be the process, with little white noise, or the white noise is small. The uncertainties remain
+/// those of the stated white noise; a smaller one only raises the probability of white noise alone.
 constexpr double kScattersLess = 0.8;
 constexpr double kLittleWhite = 0.2;
 constexpr std::array<double, 3> kTauOfStatedNoise{0.5, 1.0, 2.0};
 constexpr std::array<double, 3> kRhoOfStatedNoise{2.0, 10.0, 50.0};
 constexpr std::array<double, 5> kSmallerWhite{0.7, 0.5, 0.35, 0.25, 0.1};
-/// A process whose whole neighbourhood is less probable than this is not worth a fit.
+/// A process less probable than this, relative to white noise alone, is left out.
 constexpr double kNegligibleWeight = 1e-6;
-/// White noise is looked for until no output's moves by more (relative); at most so often.
+/// Estimation of the white noise ends when that of no output changes by more (relative), or after this number
+/// of passes.
 constexpr double kWhiteFound = 1e-3;
 constexpr int kWhitePasses = 60;
 
-/// The search on its way: log_weights are relative to white noise alone until they are normalised.
+/// State of the search: log_weights are relative to white noise alone until they are normalised.
 class Search {
  public:
   explicit Search(const EffectModel& model) : model_(model) {
@@ -56,7 +57,7 @@ class Search {
     const bool of_stated_noise =
         model_.options().white_known && out_.points.front().chi2 < kScattersLess * (readings - 12.0);
     if (of_stated_noise) try_smaller_white();
-    // Of a process, the probability that it has the stated white noise beside it.
+    // Prior probability that a process is combined with the stated white noise.
     const double beside = of_stated_noise ? 0.5 : 1.0;
     for (const CorrelationLength& length : kGrid) {
       const double prior = 0.5 * beside * length.prior / static_cast<double>(length.tau.size());
@@ -86,7 +87,7 @@ class Search {
     return {tau, rho, white * out_.white.white, model_.step_sd()};
   }
 
-  /// White noise alone is as probable as it is with the standard deviation that suits the readings best.
+  /// Gives white noise alone the probability that it has at the standard deviation that fits best.
   void try_smaller_white() {
     const double stated = out_.points.front().log_likelihood;
     double gain = 0.0;

@@ -13,20 +13,20 @@
 
 namespace abcal {
 
-/// A noise of the readings, and what is stated of the errors that are not estimated one by one.
+/// A noise of the readings, and the stated size of the step errors that are not estimated one by one.
 struct AssumedNoise {
-  double tau = 0.0;                                 ///< Of the process, in units of each output's usual u.
-  double rho = 1.0;                                 ///< Angles.
+  double tau = 0.0;  ///< Process standard deviation, in units of each output's median u.
+  double rho = 1.0;  ///< Correlation length of the process, in angles.
   Eigen::Vector3d white = Eigen::Vector3d::Ones();  ///< White standard deviations over the u given.
-  double step_sd = 0.0;                             ///< Of the step errors without memory (radian).
+  double step_sd = 0.0;  ///< Standard deviation of the step errors without memory (radian).
 };
 
 /// The linear problem of an effect_fit() at one noise.
 struct AtNoise {
   AssumedNoise noise;
-  double log_likelihood = 0.0;  ///< Restricted.
+  double log_likelihood = 0.0;  ///< Restricted likelihood.
   double chi2 = 0.0;
-  Eigen::VectorXd change;  ///< Of the model's value.
+  Eigen::VectorXd change;  ///< Change of the model's value.
   std::optional<NoiseWhitener> whitener;
   ReadingRows whitened_jacobian;
   Eigen::VectorXd whitened_residual;
@@ -35,7 +35,7 @@ struct AtNoise {
 
 AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise);
 
-/// White noise of each output in units of u, and the degrees of freedom that it is known with.
+/// White noise of each output in units of u, and its degrees of freedom.
 struct WhiteFound {
   Eigen::Vector3d white = Eigen::Vector3d::Ones();
   Eigen::Vector3d redundancy = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
@@ -46,12 +46,12 @@ struct WhiteFound {
 /// @throws UnusableData the readings leave nothing to estimate it from
 WhiteFound estimate_white(const EffectModel& model);
 
-/// The noises that are probable; white noise alone stands first, whatever its probability.
+/// The probable noises; white noise alone comes first, whatever its probability.
 struct NoiseSearch {
   WhiteFound white;
   std::vector<AtNoise> points;
-  std::vector<double> log_weights;  ///< Of their posterior probabilities.
-  double log_evidence = 0.0;        ///< Of the readings, by all of them; on the scale of log_likelihood.
+  std::vector<double> log_weights;  ///< Logarithms of their posterior probabilities.
+  double log_evidence = 0.0;        ///< Evidence from all noises, on the scale of log_likelihood.
   double weight(std::size_t i) const;
   std::size_t best() const;
 };

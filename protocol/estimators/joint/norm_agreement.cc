@@ -26,16 +26,16 @@ using Nine3 = Eigen::Matrix<double, 9, 3>;
 
 /// Share of the norm fit's covariance below which a direction of the difference is not tested.
 constexpr double kTestedShare = 0.05;
-/// Poses that know the outputs worse than this by the norm alone (four angles an experiment are six
-/// directions, which say next to nothing of the angles between the axes) leave the range in which both fits
-/// are linear: an error of the angle enters the norm with its square, 3e-6.
+/// Largest uncertainties from the norm alone at which both fits are still linear: an error of the angle
+/// enters the norm with its square, 3e-6. Four angles in each experiment exceed them: these are six
+/// directions, which hardly determine the angles between the axes.
 constexpr double kLargestSensitivityU = 1e-3;  // relative
 constexpr double kLargestAngleU = 0.1;         // degree
 constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                             "phi_wu", "O_u", "O_v", "O_w"};
 
-/// The model about the solution of the joint fit, at a perfect stage: its errors would change the derivatives
-/// by their own size, 1e-4.
+/// The model about the solution of the joint fit, at a perfect stage: errors of the stage would change the
+/// derivatives by their own size only, 1e-4.
 class ModelReadings {
  public:
   ModelReadings(std::span<const EffectReading> readings, const EffectFit& fit,
@@ -65,7 +65,7 @@ class ModelReadings {
     return out;
   }
 
-  /// d V d', d a linear function of the readings (9 x 3 N).
+  /// d V d', the covariance of the linear functions d (9 x 3 N) of the readings.
   Covariance9 covariance_of(const NormGain& d) const {
     Covariance9 out = Covariance9::Zero();
     add_noise(d, out);
@@ -211,7 +211,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
   }
   Nine units = Nine::Constant(size);
   units.segment<3>(3).setOnes();                               // angles
-  const Nine u_norm = norm.covariance.diagonal().cwiseSqrt();  // Of readings of about 1.
+  const Nine u_norm = norm.covariance.diagonal().cwiseSqrt();  // for readings of about 1
   if (!(u_norm.head<3>().maxCoeff() < kLargestSensitivityU &&
         u_norm.segment<3>(3).maxCoeff() < kLargestAngleU)) {
     out.why_not = fmt::format(
@@ -233,7 +233,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
   const Covariance9 of_difference = model.covariance_of(gain_difference);
   const Covariance9 covariance_norm = scaled_on_both_sides(norm.covariance, units);
   out.standard_uncertainty = of_difference.diagonal().cwiseMax(0.0).cwiseSqrt();
-  // Each output in units of its own uncertainty, so that degrees and counts are alike.
+  // Each output in units of its own uncertainty, so that degrees and counts are comparable.
   const Nine scale = covariance_norm.diagonal().cwiseSqrt().cwiseInverse();
   const SymmetricEigen eigen = generalized_eigen(scaled_on_both_sides(of_difference, scale),
                                                  scaled_on_both_sides(covariance_norm, scale));
@@ -249,7 +249,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
   const int free = static_cast<int>(readings.size()) - 9;
   if (free > 0) out.norm_probability = chi2_tail(norm.weighted_squares, free);
   out.norm_autocorrelation = autocorrelation_of(norm);
-  // Two of three readings of each angle: the third goes to its step error.
+  // Two of the three readings at each angle show the noise: the third determines the step error.
   const double of_noise = fit.noise.white_estimated
                               ? std::max(1.0, 2.0 * static_cast<double>(readings.size()) - 12.0)
                               : std::numeric_limits<double>::infinity();

@@ -38,7 +38,7 @@ std::vector<KeyUnknowns> unknowns_by_key(const EffectModel& model) {
 /// The logarithm by which the density of the readings changes, at one noise, if the sizes of these unknowns
 /// are kTimes as large. In the directions in which prior and posterior covariance are both diagonal: with the
 /// posterior variance k of a direction over the prior's and the estimate z over the prior's standard
-/// deviation, the readings' own estimate z/(1 - k) has the variance k/(1 - k) beside that of the prior.
+/// deviation, the readings' own estimate z/(1 - k) has the variance k/(1 - k) in addition to the prior's.
 double larger_at(const EffectModel& model, const AtNoise& at, const Eigen::MatrixXd& root,
                  const std::vector<Eigen::Index>& unknowns) {
   const auto count = static_cast<Eigen::Index>(unknowns.size());

@@ -7,7 +7,7 @@
 namespace abcal {
 namespace {
 
-/// A step is taken if the cost falls by this share of what the linear model says (Ceres'
+/// A step is taken if the cost falls by this share of the fall predicted by the linear model (Ceres'
 /// min_relative_decrease).
 constexpr double kLeastQuality = 1e-3;
 /// Damping begins with the first of these, an addition to a diagonal of 1 that shortens a step only in the

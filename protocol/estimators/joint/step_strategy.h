@@ -17,17 +17,17 @@ class SumOfSquares {
   virtual double cost() = 0;
   /// Makes the model linear at the present point and solves the normal equations N x = b for the next step.
   /// @param damping  relative addition to the diagonal of N; 0: the step of Gauss and Newton
-  /// @param anew     false: the matrix of the step before may be used again
+  /// @param anew     true: compute N; false: the matrix of the step before may be used again
   /// @return by how much the sum falls if the model is linear: b'x + damping x'diag(N)x; nothing if N cannot
   /// be solved
   virtual std::optional<double> solve_step(double damping, bool anew) = 0;
-  /// Goes by the step that was solved for.
+  /// Moves by the step that was solved for.
   virtual void move() = 0;
   /// Returns to the point before the last move().
   virtual void move_back() = 0;
 };
 
-/// How strongly the next step is damped (Levenberg and Marquardt), by what the steps before achieved. The
+/// Damping of the next step (Levenberg and Marquardt), which follows from the success of earlier steps. The
 /// rules are those of Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems" (2004),
 /// section 3.2, which Ceres' LevenbergMarquardtStrategy uses as well; but damping starts only where a step
 /// without it does not lower the cost.
@@ -36,12 +36,12 @@ class StepStrategy {
   /// Relative addition to the diagonal of the normal matrix; 0: none.
   double damping() const { return damping_; }
   /// Whether a step is to be taken.
-  /// @param fall       by how much it lowers the cost; not a number where it leaves the model's domain
+  /// @param fall       decrease of the cost; not a number where the step leaves the model's domain
   /// @param predicted  the fall of the linear model, above 0
   static bool accepts(double fall, double predicted);
-  /// After a step that was taken.
+  /// To be called after a step that was taken.
   void was_taken(double fall, double predicted);
-  /// After a step that was not.
+  /// To be called after a step that was not taken.
   void was_refused();
   /// A damped step is negligible. The next is not damped; if it is refused, too, no step is left.
   void try_undamped();

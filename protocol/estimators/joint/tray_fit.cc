@@ -19,9 +19,9 @@
 namespace abcal {
 namespace {
 
-/// Noises of an item that are less probable are left out of its average.
+/// Noises of an item that are less probable than this are left out of its average.
 constexpr double kLeastWeight = 0.04;
-/// How often noises are chosen again.
+/// Largest number of passes, each with a choice of noises.
 constexpr int kNoisePasses = 3;
 
 /// The linear problem of one item at one noise, its own unknowns eliminated. The common unknowns are those of
@@ -33,10 +33,10 @@ struct Reduced {
   Eigen::VectorXd own_right;  ///< R' b
   /// Diagonals of the normal matrix of all unknowns, without damping.
   Eigen::VectorXd own_diagonal, common_diagonal;
-  Eigen::MatrixXd common;  ///< What the item says of the common unknowns.
+  Eigen::MatrixXd common;  ///< Normal matrix of the common unknowns from this item.
   Eigen::VectorXd right;
   double squares = 0.0;  ///< chi2 of the item's readings and own priors at the best own unknowns.
-  std::optional<NoiseWhitener> whitener;  ///< Of noise without step errors.
+  std::optional<NoiseWhitener> whitener;  ///< Whitener of the noise without step errors.
 };
 
 /// The common unknowns solved for.
@@ -47,7 +47,7 @@ struct Common {
   double chi2 = 0.0;
 };
 
-/// One noise of an item: its place among those of the item's own fit, its probability by all readings, and
+/// One noise of an item: its index among those of the item's own fit, its probability given all readings, and
 /// the line response with it.
 struct Alternative {
   std::size_t noise = 0;
@@ -67,7 +67,7 @@ class Tray : public SumOfSquares {
   bool solve(int& iterations);
   TrayFit result();
 
-  // The steps to the solution with one noise of each item.
+  // The steps of the minimisation with one noise for each item.
   double cost() override;
   std::optional<double> solve_step(double damping, bool anew) override;
   void move() override;
@@ -87,10 +87,10 @@ class Tray : public SumOfSquares {
   void add_steps_of(std::size_t k, const std::vector<NoiseAtAngle>& angles, Reduced& out) const;
   Common solve_common(const Eigen::MatrixXd& normal, const Eigen::VectorXd& right, double squares) const;
   void add_up(double damping);
-  /// The common unknowns with another noise of item k; nothing: without that item.
+  /// Solution of the common unknowns with another noise of item k; null: without that item.
   Common solve_with(std::size_t k, const Reduced* instead) const;
   Eigen::VectorXd own_change(std::size_t k, const Common& common) const;
-  /// Line response of an item by its own and the common unknowns (12 x each).
+  /// Derivatives of an item's line response by its own and the common unknowns (12 rows).
   struct Rows {
     Eigen::MatrixXd own_root, common;
     Vector12 start = Vector12::Zero();
@@ -115,23 +115,23 @@ class Tray : public SumOfSquares {
   std::span<const TrayMember> members_;
   std::span<const TrayAngle> angles_;
   Eigen::Index stage_count_ = 0, step_count_ = 0;
-  Eigen::VectorXd weight_;      ///< Of the priors of the common unknowns.
-  Eigen::VectorXd from_prior_;  ///< Of the common unknowns at the present point.
+  Eigen::VectorXd weight_;      ///< Weights of the priors of the common unknowns.
+  Eigen::VectorXd from_prior_;  ///< Common unknowns minus their priors at the present point.
   /// The present point.
   struct Point {
     Eigen::VectorXd stage, steps;
     std::vector<Eigen::VectorXd> own;  ///< Unknowns of each item.
   };
   Point point_, before_;
-  std::vector<std::size_t> noise_;  ///< Of each member: the place of its noise among those of its own fit.
-  std::vector<std::vector<Alternative>> alternatives_;  ///< Of each member, its noise among them.
+  std::vector<std::size_t> noise_;  ///< Index of each member's noise among those of its own fit.
+  std::vector<std::vector<Alternative>> alternatives_;  ///< For each member, its noise among them.
   std::vector<Reduced> reduced_;
-  Eigen::MatrixXd normal_;  ///< Of the common unknowns: priors, and what all items say.
+  Eigen::MatrixXd normal_;  ///< Normal matrix of the common unknowns: priors and all items.
   Eigen::VectorXd right_;
   double squares_ = 0.0;
   Common common_;
   Eigen::MatrixXd common_covariance_;
-  /// What the priors of an item's own unknowns make of the common ones, and the sum over all items.
+  /// Contribution of the priors of an item's own unknowns to the common unknowns, and its sum over all items.
   std::vector<Eigen::MatrixXd> own_priors_;
   Eigen::MatrixXd sum_of_own_priors_;
 };
@@ -159,7 +159,7 @@ Tray::Tray(std::span<const TrayMember> members, std::span<const TrayAngle> angle
   start();
 }
 
-/// The mean of what the items say of the stage on their own.
+/// Starts from the mean of the stage estimates of the items' own fits.
 void Tray::start() {
   point_.stage = Eigen::VectorXd::Zero(stage_count_);
   point_.steps = Eigen::VectorXd::Zero(step_count_);
@@ -207,7 +207,7 @@ double Tray::cost() {
   return out;
 }
 
-/// F' V^-1 F of the step errors F. With white noise every angle stands alone.
+/// Adds F' V^-1 F, with F the derivatives by the step errors. With white noise it is diagonal.
 void Tray::add_steps_of(std::size_t k, const std::vector<NoiseAtAngle>& angles, Reduced& out) const {
   if (step_count_ == 0) return;
   const std::vector<int>& angle = members_[k].angle;
@@ -316,7 +316,7 @@ Eigen::VectorXd Tray::own_change(std::size_t k, const Common& common) const {
   return product_with_vector(item.root, item.own_right - product_with_vector(item.link, common.change));
 }
 
-/// With each noise as the item's own fit says first; where all readings say otherwise, once more.
+/// Solves first with the noise of each item's own fit, and again where all readings favour another one.
 bool Tray::solve(int& iterations) {
   iterations = 0;
   for (int pass = 0; pass < kNoisePasses; ++pass) {
@@ -424,12 +424,12 @@ LineAtNoise Tray::line_of(std::size_t k, const AssumedNoise& noise, const Reduce
   return out;
 }
 
-/// The groups of the item's own budget, and one more: what the own effects of the other items leave of the
-/// stage.
+/// The groups of the item's own budget, and one more: the own effects of the other items, which limit the
+/// estimate of the stage.
 ShareGroups Tray::groups_of(std::size_t k) const {
   ShareGroups out = share_groups(model(k));
   if (members_.size() < 2) return out;
-  // Of many sizes: in units of each one's own.
+  // It combines many sizes: the prior is 1 in units of each.
   EffectShare others{"effects of the other items", "", 0, 1.0, Covariance12::Zero()};
   for (std::size_t m = 0; m < members_.size(); ++m) {
     if (m != k)
@@ -470,7 +470,7 @@ void Tray::add_shares(std::size_t k, const Eigen::MatrixXd& of_own, const Eigen:
   line.shares.back() = carried_covariance(of_common.transpose(), sum_of_own_priors_ - own_priors_[k]);
 }
 
-/// The line response at the item's noise, and at every other that its own fit calls probable.
+/// The line response at the item's noise, and at every other noise that is probable by its own fit.
 void Tray::weigh_noises(std::size_t k) {
   const EffectSolution& own = *members_[k].own;
   std::vector<Alternative>& out = alternatives_[k];
@@ -489,7 +489,7 @@ void Tray::weigh_noises(std::size_t k) {
     const double log_likelihood =
         -0.5 * (of_item.whitener->log_determinant() + of_item.own.log_determinant() +
                 of_all.normal.log_determinant() + of_all.chi2);
-    // Its probability beforehand is what the item's own readings left, without what they said.
+    // Its prior probability is the posterior of the item's own fit without the likelihood of its readings.
     out.push_back({i, std::log(own.weights[i]) - own.log_likelihoods[i] + log_likelihood,
                    line_of(k, own.noises[i], of_item, of_all)});
   }
@@ -508,9 +508,9 @@ void Tray::prepare_results() {
   side_by_side(members_.size(), [&](std::size_t k) { weigh_noises(k); });
 }
 
-/// The item from all readings, averaged over its probable noises. Its covariance is that at the noise of each
-/// item, and what the average adds to it (positive in every direction), so that the covariance of all items
-/// together stays one.
+/// The item's fit from all readings, averaged over its probable noises. Its covariance is that at the chosen
+/// noise plus the increase by the average (positive in every direction), so that the covariance of all items
+/// together stays positive semidefinite.
 EffectFit Tray::item_fit(std::size_t k) const {
   const EffectSolution& own = *members_[k].own;
   std::vector<LineAtNoise> lines;

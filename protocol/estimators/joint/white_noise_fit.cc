@@ -40,7 +40,7 @@ class WhiteNoiseProblem : public SumOfSquares {
   std::optional<double> solve_step(double damping, bool anew) override {
     std::vector<NoiseAtAngle> angles = model_.noise_at_angles(Eigen::Vector3d::Ones());
     const std::vector<StepPrior> priors = step_priors(angles, damping);
-    // A wider or narrower prior of a step error is a larger or smaller effect of it.
+    // A wider or narrower prior of a step error is equivalent to a larger or smaller derivative by it.
     std::vector<NoiseAtAngle> scaled = angles;
     for (std::size_t n = 0; n < priors.size(); ++n) scaled[n].by_step *= priors[n].sd / model_.step_sd();
     const NoiseWhitener whitener(scaled, model_.step_sd(), NoiseProcess{});
@@ -81,7 +81,7 @@ class WhiteNoiseProblem : public SumOfSquares {
   double reciprocal_condition() const { return normal_.reciprocal_condition(); }
 
  private:
-  /// What is known of one step error beside the readings (radian). Damping keeps it near its present value.
+  /// Prior of one step error, without the readings (radian). Damping keeps it near its present value.
   struct StepPrior {
     double mean = 0.0;
     double sd = 0.0;
@@ -89,7 +89,7 @@ class WhiteNoiseProblem : public SumOfSquares {
     double damping = 0.0;  ///< Addition to its diagonal element of the normal matrix (1/radian^2).
   };
 
-  /// @return of each step error that is eliminated
+  /// @return one for each step error that is eliminated
   std::vector<StepPrior> step_priors(const std::vector<NoiseAtAngle>& angles, double damping) const {
     std::vector<StepPrior> out;
     if (!(model_.step_sd() > 0.0)) return out;
@@ -123,9 +123,9 @@ class WhiteNoiseProblem : public SumOfSquares {
   EffectModel& model_;
   Eigen::VectorXd weight_;  ///< 1/u^2 of each reading, relative units.
   NormalMatrix normal_;
-  Eigen::VectorXd diagonal_;   ///< Of the normal matrix without damping.
-  Eigen::VectorXd change_;     ///< The step: of the unknowns,
-  std::vector<double> steps_;  ///< and the step errors after it.
+  Eigen::VectorXd diagonal_;   ///< Diagonal of the normal matrix without damping.
+  Eigen::VectorXd change_;     ///< Change of the unknowns in this step.
+  std::vector<double> steps_;  ///< Step errors after this step.
   Eigen::VectorXd value_before_;
   std::vector<double> steps_before_;
 };

@@ -30,13 +30,13 @@ constexpr int kAngles = 3;
 constexpr std::size_t kFewestPoses = 6;
 /// Below this probability chi2 contradicts the model, as for the joint estimator.
 constexpr double kChi2Level = kFalseAlarm;
-/// A cap without poses of this radius (degrees) is named, and of the second makes the result doubtful: six
-/// poses, one a face, leave 54.7 degrees.
+/// Radii (degrees) of a cap without poses: above the first it is noted, above the second it makes the result
+/// doubtful. Six poses, one on each face of a cube, leave 54.7 degrees.
 constexpr double kNamedCap = 60.0;
 constexpr double kDoubtfulCap = 75.0;
-/// Fewer free residuals than this do not say again what the scatter is once the effects are estimated.
+/// With fewer free residuals the scatter is not estimated again after the effects.
 constexpr double kFewestFree = 10.0;
-/// Estimated scatter of the norm beside effects with priors: a noise-free record would leave round-off.
+/// Least estimated scatter of the norm when effects have priors: a noise-free record leaves only round-off.
 constexpr double kSmallestNormScatter = 1e-9;
 
 double median(std::vector<double> values) {
@@ -58,7 +58,7 @@ std::pair<double, Eigen::Vector3d> largest_empty_cap(const std::vector<Eigen::Ve
     for (const Eigen::Vector3d& direction : directions) nearest = std::max(nearest, centre.dot(direction));
     if (nearest < largest.first) largest = {nearest, centre};
   }
-  // A grid search: acos loses nothing that matters here.
+  // The rounding of acos is negligible against the pitch of the grid.
   largest.first = std::acos(std::clamp(largest.first, -1.0, 1.0)) * 180.0 / std::numbers::pi;
   return largest;
 }
@@ -68,8 +68,8 @@ bool has_item_effects(const EffectSizes& sizes) {
                      [&](const ItemEffect& effect) { return effect.prior(sizes) > 0.0; });
 }
 
-/// The poses shifted and scaled to readings of about 1: the columns of the design are then alike in LSB and
-/// in volts.
+/// The poses shifted and scaled to readings of about 1, so that the columns of the design have the same size
+/// in LSB and in volts.
 struct ScaledPoses {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   double size = 0.0;
@@ -98,25 +98,25 @@ ScaledPoses scaled(std::span<const Pose> poses) {
   return out;
 }
 
-/// The estimate as it grows.
+/// State of the estimation.
 struct Estimate {
   std::vector<NormPose> used;
-  std::vector<std::size_t> place;  ///< Of those used, among the poses given.
+  std::vector<std::size_t> place;  ///< Index of each pose used among the poses given.
   NormModel model;
   bool u_known = false;
   NormSolution solution;
-  std::vector<std::pair<std::size_t, double>> left_out;     ///< Place and residual.
-  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |residual|, where one was found beyond.
+  std::vector<std::pair<std::size_t, double>> left_out;     ///< Index and residual.
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Limit of |residual|; NaN: none beyond.
   bool too_many = false;
 
-  /// Equations less unknowns without prior.
+  /// Number of equations minus number of unknowns without prior.
   int degrees_of_freedom() const {
     return static_cast<int>(used.size()) - kUnknowns + (model.orthogonality > 0.0 ? kAngles : 0);
   }
 };
 
-/// A solution whose weights are right: with stated uncertainties at once, else with the scatter that the norm
-/// shows. The first look is without effects, which cannot make the scatter smaller than it is.
+/// Solves with the right weights: stated uncertainties, or else the scatter of the norm, which is estimated
+/// first without effects, since these could absorb part of it.
 void solve(Estimate& at) {
   const Eigen::VectorXd from = at.solution.unknowns;
   if (at.u_known) {
@@ -150,7 +150,7 @@ void solve(Estimate& at) {
   }
 }
 
-/// Leaves out the poses that are far from the others, once more after each solution.
+/// Leaves out the poses that are far from the others, and repeats this after each solution.
 void leave_out_disturbed(Estimate& at) {
   const auto most = at.used.size() / 4;
   for (int round = 0; round < 10; ++round) {
@@ -194,7 +194,7 @@ struct Judgement {
   std::string about_scatter;
 };
 
-/// chi2 of stated uncertainties, or what the scatter says. Adds a common scatter where chi2 fails.
+/// Tests chi2 for stated uncertainties, else reports the scatter. Adds a common scatter where chi2 fails.
 void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement) {
   const int dof = at.degrees_of_freedom();
   if (!at.u_known) {
@@ -237,7 +237,7 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
   units.segment<3>(3).setOnes();  // angles
   Covariance9 total = scaled_on_both_sides(fit.covariance, units);
   Covariance9 of_poses = scaled_on_both_sides(fit.covariance_of_poses, units);
-  // Nine poses without uncertainties determine the values, and nothing says how well.
+  // Nine poses without uncertainties determine the values, but not their uncertainties.
   if (!at.u_known && static_cast<int>(at.used.size()) <= kUnknowns) {
     total.setConstant(std::numeric_limits<double>::quiet_NaN());
     of_poses = total;
@@ -264,7 +264,7 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
   result.covariance_intrinsic_type_b = total - of_poses;
 }
 
-/// How well the poses cover the sphere.
+/// Judges how well the poses cover the sphere.
 void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& judgement) {
   NormResult& norm = *result.norm;
   const std::vector<Eigen::Vector3d>& directions = at.solution.direction;
@@ -282,7 +282,7 @@ void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& ju
   if (radius > kDoubtfulCap) judgement.contradictions.push_back(norm.coverage_words);
 }
 
-/// What was left out, with the rule.
+/// Lists the poses that were left out, with the rule.
 void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationResult& result,
                    Judgement& judgement) {
   NormResult& norm = *result.norm;
@@ -308,7 +308,7 @@ void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationR
   }
 }
 
-/// The estimate from checked poses; everything of the result but where the poses came from.
+/// Fills the result from checked poses, except for the source of the poses.
 void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
   const ScaledPoses scale = scaled(poses);
   Estimate at;
@@ -380,7 +380,7 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
   }
 }
 
-/// The poses of a record in the order of time, and what was left out of them at once.
+/// The poses of a record in the order of time, and the numbers of poses left out because of their flags.
 struct RecordPoses {
   std::vector<Pose> poses;
   int clipped = 0, stuck = 0, not_finite = 0;
@@ -399,7 +399,7 @@ struct RecordPoses {
       return;
     }
     Pose pose{dwell.mean, {}, t, {}};
-    // An uncertainty of zero says that it is not known (a dwell without any scatter).
+    // An uncertainty of zero means that it is not known (a dwell without any scatter).
     if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
     if (dwell.experiment > 0) {
       pose.name = fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());

@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// One static pose: what the accelerometer read, at an orientation that need not be known.
+/// One static pose: the readings of the accelerometer at an orientation that need not be known.
 struct Pose {
   Eigen::Vector3d reading = Eigen::Vector3d::Zero();  ///< r_u, r_v, r_w (R)
   std::optional<Eigen::Vector3d> u;                   ///< Standard uncertainties (R), greater than 0.

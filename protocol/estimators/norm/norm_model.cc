@@ -24,7 +24,7 @@ using Basic = Eigen::Matrix<double, kBasic, 1>;
 /// Rows and columns of the six elements of the upper triangular B; unknowns 6..8 are the offset.
 constexpr std::array<Eigen::Index, 6> kRow{0, 0, 0, 1, 1, 2};
 constexpr std::array<Eigen::Index, 6> kColumn{0, 1, 2, 1, 2, 2};
-/// Reciprocal condition of the column-scaled design below which the nine unknowns are not told apart.
+/// Reciprocal condition of the column-scaled design below which the nine unknowns cannot be separated.
 constexpr double kSingular = 1e-9;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
@@ -121,11 +121,11 @@ class NormProblem {
 
   Eigen::Index column(int output, Eigen::Index own) const { return kBasic + own_ * output + own; }
 
-  /// y of the readings free of the effects: z = y + effects(y).
+  /// Linear response y, the reading z without the effects of the item: z = y + effects(y).
   struct Linear {
     Eigen::Vector3d y;
     Eigen::Vector3d slope;                           ///< dz/dy
-    Eigen::Matrix<double, 3, Eigen::Dynamic> share;  ///< Of each effect of each output.
+    Eigen::Matrix<double, 3, Eigen::Dynamic> share;  ///< Derivatives of z: 3 x effects.
   };
   Linear linear_of(const NormPose& pose, const Eigen::Vector3d& z, const Eigen::VectorXd& x) const {
     Linear out{z, Eigen::Vector3d::Ones(), Eigen::Matrix<double, 3, Eigen::Dynamic>::Zero(3, own_)};
@@ -165,7 +165,7 @@ class NormProblem {
       const double norm = a.norm();
       const Eigen::Vector3d e = a / norm;
       const Eigen::Vector3d by_linear = b.transpose() * e;
-      const Eigen::Vector3d gradient = by_linear.cwiseQuotient(linear.slope);  // of the norm by the reading
+      const Eigen::Vector3d gradient = by_linear.cwiseQuotient(linear.slope);  // d norm / d reading
       at.direction[i] = e;
       at.residual(row) = norm - 1.0;
       at.variance(row) = pose.u ? gradient.cwiseProduct(*pose.u).squaredNorm() + model_.common_variance
@@ -235,7 +235,7 @@ class NormProblem {
     return scale_.cwiseProduct(factor_.solve_vector(scale_.cwiseProduct(right)));
   }
 
-  /// The nine unknowns, of poses and what is known of the axes: the effects have priors of their own.
+  /// Condition for the nine unknowns, from poses and prior of the axes; the effects have priors of their own.
   double reciprocal_condition(const NormSolution& at) const {
     const Eigen::Index angles = model_.orthogonality > 0.0 ? 3 : 0;
     Eigen::MatrixXd design = Eigen::MatrixXd::Zero(jacobian_.rows() + angles, kBasic);
@@ -251,7 +251,7 @@ class NormProblem {
     return PivotedQr(scaled_columns(design, scale)).reciprocal_condition();
   }
 
-  /// The line response, its covariance and gain.
+  /// Fills the line response, its covariance and gain.
   void finish(NormSolution& out) const {
     out.cofactor = scaled_on_both_sides(factor_.inverse(), scale_);
     out.reciprocal_condition = reciprocal_condition(out);
@@ -300,10 +300,10 @@ class NormProblem {
   std::vector<Own> effects_;
   Eigen::Index own_ = 0, count_ = kBasic;
   Eigen::MatrixXd jacobian_;
-  Eigen::Matrix<double, Eigen::Dynamic, 3> by_reading_;  ///< Of the norm.
+  Eigen::Matrix<double, Eigen::Dynamic, 3> by_reading_;  ///< Derivatives of the norm.
   Eigen::MatrixXd weighted_;                             ///< The Jacobian over the standard deviations.
   Eigen::VectorXd scale_;
-  Cholesky factor_;  ///< Of the scaled normal matrix.
+  Cholesky factor_;  ///< Cholesky factor of the scaled normal matrix.
 };
 
 }  // namespace

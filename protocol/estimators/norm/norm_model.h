@@ -10,33 +10,33 @@
 
 namespace abcal {
 
-/// One pose of the norm fit. Readings of about 1: scaled as the caller likes, all alike.
+/// One pose of the norm fit. The caller scales all readings by one factor, to about 1.
 struct NormPose {
   Eigen::Vector3d reading = Eigen::Vector3d::Zero();
-  /// Standard uncertainties; absent: `NormModel::common_variance` is that of the norm, all poses alike.
+  /// Standard uncertainties; absent: `NormModel::common_variance` is the variance of the norm of every pose.
   std::optional<Eigen::Vector3d> u;
   double t = 0.0;                                       ///< -1/2 to 1/2 over the run.
   Eigen::Vector3d came_from = Eigen::Vector3d::Zero();  ///< As in ItemPoint.
 };
 
-/// What the norm fit assumes.
+/// Assumptions of the norm fit.
 struct NormModel {
-  EffectSizes sizes;         ///< Effects of the item that are estimated; zero: left out.
+  EffectSizes sizes;         ///< Sizes of the item's effects to be estimated; zero: left out.
   bool drift = true;         ///< false: no drift of offset and sensitivity.
   bool nonlinearity = true;  ///< false: k2 and k3 are zero exactly.
-  /// Of the angles between the item's axes about 90 degrees, radian; 0: not known.
+  /// Standard deviation from 90 degrees of the angles between the item's axes, radian; 0: not known.
   double orthogonality = 0.0;
   double common_variance = 0.0;  ///< Added to the variance of every pose's norm.
 };
 
-/// The poses' own readings' share of the nine intrinsic outputs.
+/// Derivatives of the nine intrinsic outputs by the readings of the poses.
 using NormGain = Eigen::Matrix<double, 9, Eigen::Dynamic>;
 
 struct NormSolution {
   Eigen::VectorXd unknowns;  ///< Upper triangle of B (6), offset (3), then the effects of u, v, w, over S_j.
-  Eigen::MatrixXd cofactor;  ///< Covariance of the unknowns, as far as the variances are right.
+  Eigen::MatrixXd cofactor;  ///< Covariance of the unknowns, if the variances are right.
   Eigen::VectorXd residual;  ///< |a| - 1 of each pose.
-  Eigen::VectorXd variance;  ///< Of the residual.
+  Eigen::VectorXd variance;  ///< Variance of the residual.
   double weighted_squares = 0.0;  ///< Priors included.
   double redundancy = 0.0;        ///< Expectation of the poses' part of weighted_squares.
   /// Expectation of the sum of the products of successive residuals over their standard deviations, if the
@@ -51,7 +51,7 @@ struct NormSolution {
   /// s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree), O_u, O_v, O_w of the line response.
   Eigen::Matrix<double, 9, 1> intrinsic;
   Covariance9 covariance;
-  Covariance9 covariance_of_poses;  ///< The part of it that comes from the variances of the poses.
+  Covariance9 covariance_of_poses;  ///< The part from the variances of the poses.
   NormGain gain;  ///< Derivative of `intrinsic` by the readings: 9 x 3 n, u, v, w of each pose.
 };
 
@@ -63,8 +63,8 @@ struct NormSolution {
 NormSolution solve_norm(std::span<const NormPose> poses, const NormModel& model,
                         const Eigen::VectorXd& from = {});
 
-/// Where each pose came from, in the order given: the sign of the change of each reading, 0 where the change
-/// is below five times its uncertainty.
+/// Fills `came_from` of the poses, in the order given: the sign of the change of each reading, 0 where the
+/// change is below five times its uncertainty.
 void find_directions(std::vector<NormPose>& poses);
 
 }  // namespace abcal

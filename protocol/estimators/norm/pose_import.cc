@@ -31,7 +31,7 @@ struct Table {
   std::map<std::string, std::pair<int, std::string>> comments;  ///< "# KEY: VALUE": its line and value.
 };
 
-/// Without white space and quotes at its ends.
+/// The text without white space and quotes at its ends.
 std::string_view bare(std::string_view text) {
   return pieces::trimmed(text, " \t\r\n\"");
 }
@@ -91,7 +91,7 @@ Table read_table(std::istream& in, const std::string& source) {
     }
     std::vector<double> row;
     for (const std::string_view cell : cells) {
-      // An empty cell is an optional number that is not there; it is refused where it is needed.
+      // An empty cell is an absent optional number; it is refused where a number is required.
       const std::optional<double> value =
           cell.empty() ? std::numeric_limits<double>::quiet_NaN() : number(cell);
       if (!value) throw std::invalid_argument(fmt::format("{}: \"{}\" is not a number", where(), cell));
@@ -113,7 +113,7 @@ std::optional<std::size_t> column_named(const Table& table, std::initializer_lis
   return std::nullopt;
 }
 
-/// What the comments state of the item; effects that are not stated are left out.
+/// Sizes of the item's effects that the comments state; effects that are not stated are left out.
 EffectSizes stated_sizes(const Table& table, const std::string& source) {
   EffectSizes sizes = linear_item();
   const auto number_of = [&](const std::string& key, double most) -> std::optional<double> {
@@ -135,7 +135,7 @@ EffectSizes stated_sizes(const Table& table, const std::string& source) {
 
 // ---- Static stretches -------------------------------------------------------------------------------------
 
-/// Sums over samples, so that any window costs the same.
+/// Cumulative sums over samples: mean and spread of a window take the same time for any length.
 class RunningSums {
  public:
   explicit RunningSums(const std::vector<Eigen::Vector3d>& readings)
@@ -200,7 +200,7 @@ void check(const TimeSeries& series, const StaticSearch& search) {
   }
 }
 
-/// Below this an output is at rest: a multiple of the tenth quietest of the running spreads.
+/// Spread below which an output is at rest: a multiple of the lowest tenth (quantile) of the running spreads.
 Eigen::Vector3d spread_limit(const TimeSeries& series, const std::vector<Eigen::Vector3d>& spread,
                              double threshold) {
   const std::size_t n = spread.size();
@@ -210,7 +210,7 @@ Eigen::Vector3d spread_limit(const TimeSeries& series, const std::vector<Eigen::
     for (std::size_t i = 0; i < n; ++i) sorted[i] = spread[i](j);
     const auto tenth = sorted.begin() + static_cast<std::ptrdiff_t>(n / 10);
     std::nth_element(sorted.begin(), tenth, sorted.end());
-    // An output that hardly changes shows less than its resolution: a step is never motion.
+    // The spread of a quiet output may be below its resolution: one step of it is never motion.
     double resolution = std::numeric_limits<double>::infinity();
     for (std::size_t i = 1; i < n; ++i) {
       const double step = std::abs(series.reading[i](j) - series.reading[i - 1](j));
@@ -222,7 +222,7 @@ Eigen::Vector3d spread_limit(const TimeSeries& series, const std::vector<Eigen::
   return limit;
 }
 
-/// Gathers stretches, and joins the parts of a pose that a knock has cut.
+/// Collects stretches, and joins the parts of a pose that a knock has interrupted.
 class StretchCollector {
  public:
   StretchCollector(const TimeSeries& series, const StaticSearch& search, const RunningSums& sums,
@@ -233,7 +233,7 @@ class StretchCollector {
   void add(std::size_t first, std::size_t last) {
     const double start = series_.time_s[first] + search_.trim_s;
     const double end = series_.time_s[last - 1] - search_.trim_s;
-    // A part of a pose may be shorter than a pose: knocks cut it, and the parts are joined.
+    // A part of a pose may be shorter than a pose: parts separated by a knock are joined.
     if (end - start < 0.25 * search_.min_length_s) return;
     StaticStretch stretch;
     stretch.first = sample_at(start);
@@ -260,8 +260,8 @@ class StretchCollector {
     return static_cast<std::size_t>(std::lower_bound(series_.time_s.begin(), series_.time_s.end(), time) -
                                     series_.time_s.begin());
   }
-  /// A knock in the middle of a pose: the same pose goes on. Half the scatter of one reading is far below any
-  /// turn by hand; short parts know their means no better than five of their uncertainties.
+  /// Whether a stretch continues the pose before, after a knock. Half the scatter of one reading is far below
+  /// any turn by hand; the means of short parts may differ by five of their uncertainties.
   bool goes_on(const StaticStretch& before, const StaticStretch& stretch) const {
     const Eigen::Vector3d u = (stretch.u_mean.cwiseAbs2() + before.u_mean.cwiseAbs2()).cwiseSqrt();
     const Eigen::Vector3d allowed = (0.5 * limit_ / search_.threshold).cwiseMax(5.0 * u);
@@ -287,7 +287,7 @@ class StretchCollector {
   std::vector<StaticStretch> found_;
 };
 
-/// Three numbers of a row, and where it stands.
+/// Reads three numbers of a row, and gives its file and line.
 class TripleReader {
  public:
   TripleReader(const Table& table, const std::string& source) : table_(table), source_(source) {}
@@ -308,7 +308,7 @@ class TripleReader {
   const std::string& source_;
 };
 
-/// Which columns hold what; without a time the rows are poses.
+/// Columns of readings, uncertainties and time; without a time the rows are poses.
 struct PoseColumns {
   std::array<std::size_t, 3> reading{};
   std::array<std::optional<std::size_t>, 3> uncertainty{};
@@ -334,7 +334,7 @@ PoseColumns columns_of(const Table& table, const std::string& source) {
                    *column_named(table, {"r_w"})};
     out.uncertainty = {column_named(table, {"u_u"}), column_named(table, {"u_v"}),
                        column_named(table, {"u_w"})};
-    // With t the rows are samples; the column time_s belongs to averaged readings.
+    // With a column t the rows are samples; a column time_s belongs to averaged readings.
     out.time = column_named(table, {"t"});
   } else if (const auto t = column_named(table, {"t", "time", "time_s"}); t && table.header.size() == 4) {
     out.time = t;
@@ -350,7 +350,7 @@ PoseColumns columns_of(const Table& table, const std::string& source) {
   return out;
 }
 
-/// A row of the averaged readings of a pose.
+/// The averaged readings of a pose from one row.
 DwellRecord pose_of(const TripleReader& triple, const PoseColumns& columns, std::size_t row) {
   const auto& [u, v, w] = columns.uncertainty;
   DwellRecord dwell;
@@ -429,8 +429,8 @@ ImportedPoses import_poses(std::istream& in, const std::string& source, const St
     dwell.spread = stretch.spread;
     dwell.count = static_cast<std::int64_t>(stretch.count);
     dwell.time_s = 0.5 * (stretch.start_s + stretch.end_s);
-    // u_mean is left absent on purpose: the noise of a stretch says little of how poses placed by hand agree
-    // with each other, so the norm fit takes its uncertainties from that agreement.
+    // u_mean is left absent on purpose: the noise within a stretch does not show how well poses placed by
+    // hand agree with each other, so the norm fit takes its uncertainties from that agreement.
     out.record.dwells.push_back(std::move(dwell));
   }
   return out;

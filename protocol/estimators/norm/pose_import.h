@@ -11,17 +11,17 @@
 
 namespace abcal {
 
-/// A raw time series of one accelerometer that is placed by hand: at rest, moved, at rest ...
+/// A raw time series of one accelerometer that is placed by hand: at rest, moved, at rest again.
 struct TimeSeries {
   std::vector<double> time_s;
   std::vector<Eigen::Vector3d> reading;  ///< R
 };
 
 struct StaticSearch {
-  double window_s = 1.0;      ///< Of the sliding standard deviation.
-  double threshold = 3.0;     ///< Still: below this times the noise floor.
+  double window_s = 1.0;      ///< Window of the sliding standard deviation.
+  double threshold = 3.0;     ///< At rest: below this multiple of the noise floor.
   double min_length_s = 2.0;  ///< Poses with less still time are not used.
-  double trim_s = 0.3;        ///< Cut from both ends of each stretch.
+  double trim_s = 0.3;        ///< Time cut off both ends of each stretch.
 };
 
 /// One stretch without motion, trimmed: samples first .. last - 1, less those of a knock in between.
@@ -31,7 +31,7 @@ struct StaticStretch {
   double start_s = 0.0, end_s = 0.0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();    ///< R
   Eigen::Vector3d spread = Eigen::Vector3d::Zero();  ///< Standard deviation of single readings (R).
-  Eigen::Vector3d u_mean = Eigen::Vector3d::Zero();  ///< Of the mean, from batch means (autocorrelation) (R).
+  Eigen::Vector3d u_mean = Eigen::Vector3d::Zero();  ///< From batch means (autocorrelation) (R).
 };
 
 /// Stretches where every output's standard deviation over a sliding window stays below `threshold` times that
@@ -40,17 +40,17 @@ struct StaticStretch {
 /// @throws std::runtime_error no static stretch
 std::vector<StaticStretch> static_stretches(const TimeSeries& series, const StaticSearch& search = {});
 
-/// What a file of poses or a time series became.
+/// Poses imported from a file of poses or from a time series.
 struct ImportedPoses {
-  RunRecord record;  ///< One dwell a pose; experiment 0: angles unknown.
+  RunRecord record;  ///< One dwell for each pose; experiment 0: angles unknown.
   bool from_time_series = false;
-  std::size_t samples = 0;  ///< Of the time series.
+  std::size_t samples = 0;  ///< Samples of the time series.
   std::vector<StaticStretch> stretches;
 };
 
 /// Reads poses or a time series for the norm estimator. Comma, semicolon, tab or blanks separate columns;
 /// lines that begin with # are comments; "# item_uncertainty.KEY: VALUE" states the size of an effect of the
-/// item (protocol/plan/effect_sizes.h), and what is not stated is left out. A header names the columns: r_u,
+/// item (protocol/plan/effect_sizes.h); effects not stated are left out. A header names the columns: r_u,
 /// r_v, r_w (poses; u_u, u_v, u_w optional, other columns ignored), or t (also time, time_s) with three
 /// further columns (time series). Without a header three columns are poses and four are a time series t, u,
 /// v, w.

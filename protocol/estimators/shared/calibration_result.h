@@ -18,13 +18,13 @@ struct Quantity {
   /// type_a and type_b (those that are present) combined. NaN: none was evaluated.
   double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
   std::optional<double> type_a;  ///< From the scatter of the readings.
-  std::optional<double> type_b;  ///< From what is known of the stage and the instrument, to first order.
+  std::optional<double> type_b;  ///< From other knowledge of stage and instrument, to first order.
   std::string unit;
-  /// Effective degrees of freedom of standard_uncertainty; infinite where it rests on what is stated.
+  /// Effective degrees of freedom of standard_uncertainty; infinite where it rests on stated values.
   double degrees_of_freedom = std::numeric_limits<double>::infinity();
 };
 
-/// k of a coverage probability: Student's t for the quantity's degrees of freedom; for 95.45 % it is 2 where
+/// k for a coverage probability: Student's t for the quantity's degrees of freedom; for 95.45 % it is 2 where
 /// they are infinite. NaN below one degree of freedom.
 double coverage_factor(const Quantity& quantity, double probability = 0.9544997361036416);
 
@@ -81,79 +81,79 @@ struct ClosingDifference {
 
 /// Dwells that carry one flag.
 struct FlagCount {
-  std::string flag;  ///< In words, as describe_flags says it.
+  std::string flag;  ///< In the words of describe_flags().
   int dwells = 0;
 };
 
-/// One question asked of a run, so that a wrong number does not look right (docs/measurement.md, "Checks").
+/// One test of a run, so that a wrong number is not taken for a right one (docs/measurement.md, "Checks").
 struct Check {
   std::string name;  ///< "mounting slip", "full scale", ...
   double found = std::numeric_limits<double>::quiet_NaN();
-  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |found|.
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Limit of |found|.
   std::string unit;
   bool passed = true;
-  std::string words;  ///< What is wrong, where, and what it may come from; empty where it passed.
+  std::string words;  ///< The error, its place and its possible causes; empty where it passed.
 };
 
 struct Diagnostics {
   std::vector<FitDiagnostic> fits;  ///< 9: experiment by experiment, u v w in each. (norm: empty)
   std::vector<Closure> closures;    ///< 15: u v w for each of the five names. (norm: empty)
   std::vector<ClosingDifference> closing_differences;  ///< Empty where no closing angle was measured.
-  std::optional<double> chi2;  ///< Of the estimator's own fit; absent without readings' uncertainty.
+  std::optional<double> chi2;  ///< From the estimator's own fit; absent without u of the readings.
   int degrees_of_freedom = 0;
   std::optional<double> chi2_probability;  ///< P(chi2 >= found) if the model is right.
-  double reciprocal_condition = 0.0;       ///< Of the (column-scaled) design, 0..1; worst of its fits.
+  double reciprocal_condition = 0.0;       ///< Smallest of the (column-scaled) designs of its fits, 0..1.
   int rank = 0;                            ///< Smallest rank of its fits (abc: 3 is full).
   int angles_used = 0;                     ///< Dwells in the fit.
   int angles_flagged = 0;
   std::vector<FlagCount> flags;
   std::vector<Check> checks;
-  std::vector<std::string> notes;  ///< Sentences that a reader should see beside the verdict.
+  std::vector<std::string> notes;  ///< Sentences that a reader should see with the verdict.
 };
 
 /// The model equation at zero (IEEE 1293): output j at a specific force a (g_loc) along its own axis is
 /// K0 + K1 a + K2 a^2 + K3 a^3. It is not the measurand of the result, which is the line response.
 struct ModelEquation {
   std::array<std::array<Quantity, 4>, 3> k;   ///< [output][order]: R, R/g_loc, R/g_loc^2, R/g_loc^3
-  std::array<Eigen::Matrix4d, 3> covariance;  ///< Of K0 to K3 of each output.
+  std::array<Eigen::Matrix4d, 3> covariance;  ///< Covariance of K0 to K3 of each output.
 };
 
-/// An effect that was estimated, and whether its size agrees with what is stated.
+/// An effect that was estimated, and whether its size agrees with the stated one.
 struct EffectTest {
   std::string name;            ///< "wobble of X", "hysteresis of u"
-  std::string key;             ///< Of its size in the bench file.
+  std::string key;             ///< Key of its size in the bench file.
   double times_stated = 0.0;   ///< Root mean square of its unknowns over their stated standard uncertainty.
-  double chi2 = 0.0;           ///< Against what the statement predicts for the estimate.
-  int degrees_of_freedom = 0;  ///< 0: the run says nothing of this effect.
+  double chi2 = 0.0;           ///< Estimate against the prediction of the stated size.
+  int degrees_of_freedom = 0;  ///< 0: the run does not determine this effect.
   double probability = 1.0;
   bool passed = true;
-  bool stated_zero = false;  ///< Left out of the fit: the test is of what its residuals show.
-  /// The test is whether the readings, in which a wandering noise was found, are more probable with a size
-  /// `times_stated` as large and less noise. `probability` is then a bound, and there is no chi2.
+  bool stated_zero = false;  ///< Left out of the fit: the test is made on the residuals.
+  /// The test is whether the readings, in which a noise process was found, are more probable with a size
+  /// `times_stated` times as large and less noise. `probability` is then a bound, and there is no chi2.
   bool instead_of_noise = false;
 };
 
-/// What the priors of one effect contribute to the uncertainty of the line response.
+/// Contribution of the priors of one effect to the uncertainty of the line response.
 struct EffectShare {
   std::string effect;  ///< "wobble of X", "drift", "f_1" (step errors without memory of experiment 1)
-  std::string key;     ///< Of its size.
+  std::string key;     ///< Key of its size in the bench file.
   int unknowns = 0;
-  double prior_sd = 0.0;  ///< Of one unknown: radian, 1, or relative to S_j.
+  double prior_sd = 0.0;  ///< Prior of one unknown: radian, 1, or relative to S_j.
   Covariance12 covariance = Covariance12::Zero();
 };
 
-/// The joint fit against the norm fit of the same readings. The norm fit is untouched by every error of the
-/// stage; what the two have in common (nine intrinsic outputs) therefore differs by no more than the effects
-/// of the model make it differ, unless the stage has errors that the model does not have (Hausman's test).
+/// The joint fit against the norm fit of the same readings. No error of the stage affects the norm fit; the
+/// nine intrinsic outputs, which both fits give, therefore differ by no more than the effects of the model
+/// explain, unless the stage has errors that the model does not have (Hausman's test).
 struct NormAgreement {
   bool done = false;  ///< False: the readings alone do not determine the nine outputs (`why_not`).
   std::string why_not;
   double statistic = 0.0;  ///< chi2, or F times its degrees of freedom where the noise was estimated.
   int degrees_of_freedom = 0;
   double probability = 1.0;
-  double norm_probability = 1.0;  ///< Of the norm fit's own chi2: its readings have white noise only.
-  /// Of the products of successive residuals of the norm fit, beyond what the fit itself makes of them, in
-  /// standard deviations of white noise.
+  double norm_probability = 1.0;  ///< From the norm fit's own chi2, for readings with white noise only.
+  /// Sum of the products of successive residuals of the norm fit, less the part caused by the fit itself, in
+  /// standard deviations for white noise.
   double norm_autocorrelation = 0.0;
   /// Norm minus joint, and its standard uncertainty if the model is right: s_u, s_v, s_w (R/g_loc), phi_uv,
   /// phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
@@ -161,7 +161,7 @@ struct NormAgreement {
   Eigen::Matrix<double, 9, 1> standard_uncertainty = Eigen::Matrix<double, 9, 1>::Zero();
 };
 
-/// What only the joint estimator gives (docs/joint_estimator.md).
+/// Results that only the joint estimator gives (docs/joint_estimator.md).
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
   std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
@@ -176,9 +176,9 @@ struct JointResult {
   std::vector<EffectTest> effects;  ///< Every effect that was an unknown, and those stated as zero.
   /// The stated sizes that the run contradicts, in words. Every result that rests on them is doubtful.
   std::vector<std::string> contradicted_sizes;
-  std::vector<EffectShare> shares;  ///< What covariance_type_b is made of.
-  /// Noise from angle to angle: probability of a process beside the white part (1/2 beforehand), its standard
-  /// deviation in units of the readings' u, its correlation length in angles.
+  std::vector<EffectShare> shares;  ///< Contributions to covariance_type_b.
+  /// Noise from angle to angle: probability of a process in addition to the white part (prior: 1/2), its
+  /// standard deviation in units of the readings' u, its correlation length in angles.
   double process_probability = 0.0;
   double process_tau = 0.0;
   double process_rho = 0.0;
@@ -186,18 +186,18 @@ struct JointResult {
   std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
 };
 
-/// What only the norm estimator gives.
+/// Results that only the norm estimator gives.
 struct NormResult {
   int poses = 0;  ///< Poses used.
   int poses_left_out = 0;
-  /// The poses left out: their place among the poses given (from 1), and |a|/g_loc - 1.
+  /// The poses left out: their number among the poses given (from 1), and |a|/g_loc - 1.
   std::vector<std::pair<int, double>> left_out;
   double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
   double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
-  std::string coverage_words;  ///< What is badly covered, in words; empty if nothing.
+  std::string coverage_words;  ///< The largest gap in the coverage, in words; empty if small.
 };
 
-/// The result of one estimator on one run. Nothing is good by default.
+/// The result of one estimator on one run. The default is not usable.
 struct CalibrationResult {
   std::string estimator;  ///< "abc", "joint", "norm"
   Verdict verdict = Verdict::kNotUsable;
@@ -221,7 +221,7 @@ struct CalibrationResult {
   std::optional<Covariance9> covariance_intrinsic_type_a;
   std::optional<Covariance9> covariance_intrinsic_type_b;
 
-  /// Effects in the uncertainties whose size is a default that nobody stated ("not yours").
+  /// Effects in the uncertainties whose size is a default that nobody stated.
   std::vector<std::string> unstated_effects;
   Diagnostics diagnostics;
   std::optional<ModelEquation> model_equation;

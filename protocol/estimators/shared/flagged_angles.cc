@@ -11,8 +11,8 @@
 namespace abcal {
 namespace {
 
-/// Of all angles. A disturbance that was seen so often is there below the limits as well, at the other angles
-/// and when they were measured again.
+/// Largest share of repeated angles. A more frequent disturbance is also present below the limits, at the
+/// other angles and when angles were measured again.
 constexpr double kManyRepeated = 0.25;
 
 int angles_with(const RunRecord& record, std::uint32_t flags) {

@@ -8,19 +8,19 @@
 
 namespace abcal {
 
-/// Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: they are
-/// only counted, unless a quarter of all angles had to be repeated.
+/// Flags of angles whose mean itself may be wrong. Lost and repeated readings leave a sound mean: they are
+/// only counted, unless more than a quarter of all angles had to be repeated.
 inline constexpr std::uint32_t kSuspectFlags = kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite |
                                                kFlagOutsideWindow | kFlagTemperature | kFlagNorm;
 
-/// Of the flags above, those whose angles the estimators by least squares leave out.
+/// The flags whose angles the estimators by least squares leave out.
 inline constexpr std::uint32_t kLeftOutFlags = kFlagClipped | kFlagNotFinite;
 
 /// Fills the flags and the number of flagged angles.
 void count_flags(const RunRecord& record, Diagnostics& diagnostics);
 
 /// "2 of 216 angles are flagged: stuck output", and whether more than a quarter had to be measured again;
-/// empty where neither is so.
+/// empty if neither applies.
 /// @param which  a part of kSuspectFlags
 std::string words_about_flags(const RunRecord& record, std::uint32_t which);
 

@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// What does not depend on how the accelerometer is mounted (paper, Eqs. 9-10).
+/// Properties that do not depend on the mounting of the accelerometer (paper, Eqs. 9-10).
 struct IntrinsicProperties {
   Eigen::Vector3d sensitivity = Eigen::Vector3d::Zero();  ///< |s_u|, |s_v|, |s_w| (R/g_loc).
   Eigen::Vector3d angle_deg = Eigen::Vector3d::Zero();    ///< phi_uv, phi_vw, phi_wu (degree), 0..180.

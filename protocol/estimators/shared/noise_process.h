@@ -5,26 +5,26 @@
 
 namespace abcal {
 
-/// Noise from angle to angle: of each output a white part and an Ornstein-Uhlenbeck process, stationary with
+/// Noise from angle to angle: each output has a white part and an Ornstein-Uhlenbeck process, stationary with
 /// the standard deviation tau and the correlation exp(-d / rho) at a distance of d angles; rho much larger
 /// than the run is a random walk.
 struct NoiseProcess {
   Eigen::Vector3d tau = Eigen::Vector3d::Zero();  ///< In the unit of the readings; 0: white only.
-  double rho = 1.0;                               ///< Angles.
+  double rho = 1.0;                               ///< Correlation length, in angles.
 };
 
-/// One angle as the noise sees it.
+/// Noise and step error at one angle.
 struct NoiseAtAngle {
   Eigen::Vector3d white;    ///< Variances of the outputs' white noise.
   Eigen::Vector3d by_step;  ///< Derivative of the outputs by the step error that they share (per radian).
-  double distance = 1.0;    ///< Angles since the one before.
+  double distance = 1.0;    ///< Distance from the angle before, in angles.
 };
 
 /// One angle of the whitening filter.
 struct WhitenerStep {
-  Eigen::Matrix3d lower_inverse;                   ///< Of the innovation's covariance, Cholesky.
-  Eigen::Matrix3d gain = Eigen::Matrix3d::Zero();  ///< Of the process by the innovation.
-  double decay = 0.0;                              ///< Of the process to the next angle.
+  Eigen::Matrix3d lower_inverse;  ///< Inverse Cholesky factor of the innovation's covariance.
+  Eigen::Matrix3d gain = Eigen::Matrix3d::Zero();  ///< Change of the process by the innovation.
+  double decay = 0.0;                              ///< Decay of the process to the next angle.
 };
 
 /// Rows: angle by angle u, v, w. Row-major, so that the three rows of an angle are read in one go.
@@ -54,7 +54,7 @@ class NoiseWhitener {
   bool white_ = true;
   double log_determinant_ = 0.0;
   Eigen::Vector3d tau_;
-  Eigen::VectorXd mean_correlation_;  ///< Of a reading with the mean, tau = 1.
+  Eigen::VectorXd mean_correlation_;  ///< Covariance of a reading with the mean for tau = 1.
   Eigen::Vector3d mean_variance_;
 };
 

@@ -24,12 +24,12 @@ class NormalMatrix {
   Eigen::MatrixXd covariance_root() const;
   /// log det N.
   double log_determinant() const;
-  /// Square root of that of the scaled matrix.
+  /// Square root of the reciprocal condition of the scaled matrix.
   double reciprocal_condition() const;
 
  private:
   Eigen::VectorXd scale_;
-  Eigen::LLT<Eigen::MatrixXd> llt_;  ///< Of the scaled matrix.
+  Eigen::LLT<Eigen::MatrixXd> llt_;  ///< Cholesky factor of the scaled matrix.
 };
 
 }  // namespace abcal

@@ -18,7 +18,7 @@ Eigen::MatrixXd products_of_columns(const ReadingRows& rows);
 
 /// X M.
 ReadingRows times(const ReadingRows& rows, const Eigen::MatrixXd& matrix);
-/// X R with R upper triangular; what stands below its diagonal is not read.
+/// X R with R upper triangular; elements below its diagonal are not read.
 ReadingRows times_upper(const ReadingRows& rows, const Eigen::MatrixXd& upper);
 
 }  // namespace abcal

@@ -10,15 +10,15 @@
 namespace abcal {
 namespace {
 
-constexpr double kLarge = 2e-3;     // of S_j: no run that determines its outputs comes near
-constexpr double kTooLarge = 2e-2;  // of S_j: more than a degree
-constexpr double kMost = 0.5;       // of the variance
+constexpr double kLarge = 2e-3;     // relative to S_j: no run that determines its outputs comes near
+constexpr double kTooLarge = 2e-2;  // relative to S_j: more than a degree
+constexpr double kMost = 0.5;       // share of the variance
 
 std::string output_name(Eigen::Index i) {
   return i < 9 ? fmt::format("s_{}{}", "uvw"[i / 3], "xyz"[i % 3]) : fmt::format("O_{}", "uvw"[i - 9]);
 }
 
-/// What helps against one effect.
+/// Remedies against one effect, as a sentence.
 std::string remedy(const EffectShare& share, const EffectSizes& sizes, bool shown_by_angles, EffectsAre are) {
   std::string words;
   if (!shown_by_angles) {

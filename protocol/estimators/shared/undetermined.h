@@ -10,21 +10,21 @@
 
 namespace abcal {
 
-/// What keeps outputs from being determined: the effect, and what to add, in words.
+/// The effect that keeps outputs from being determined, and the remedy, in words.
 struct Undetermined {
   std::string words;
-  bool doubtful = false;  ///< The result is; else it is worth a note.
+  bool doubtful = false;  ///< True: the result is doubtful; false: a note is sufficient.
 };
 
-/// Who finds the effects.
+/// Origin of the effects.
 enum class EffectsAre {
-  kEstimated,  ///< The fit, in the readings: what it knows little of, these angles do not show.
-  kStated,     ///< Nobody, but k2 and k3: the estimator takes the sizes as they are stated.
+  kEstimated,  ///< The fit estimates them; an effect that it hardly determines does not show at these angles.
+  kStated,     ///< The estimator takes the sizes as stated, except for k2 and k3.
 };
 
-/// Outputs of which the readings say little: whose standard uncertainty is large and mostly that of effects.
-/// A turn of the whole stage (alignment, mean step errors, initial turns together) no angle of a run shows:
-/// it is known as well as it is stated, and a coarse statement is worth a note up to 2 % of the sensitivity.
+/// Outputs that the readings hardly determine: their standard uncertainty is large, and mostly from effects.
+/// No angle of a run shows a turn of the whole stage (alignment, mean step errors, initial turns together):
+/// it is known as well as it is stated, and a coarse one causes only a note up to 2 % of the sensitivity.
 /// @param unit  S_j: R, as the covariances
 std::vector<Undetermined> undetermined_outputs(std::span<const EffectShare> shares,
                                                const Covariance12& covariance, const Eigen::Vector3d& unit,

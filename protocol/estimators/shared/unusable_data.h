@@ -4,9 +4,9 @@
 
 namespace abcal {
 
-/// These data cannot be analysed: what they hold contradicts the analysis, or they do not determine what is
-/// asked. what() says what was found and what is required. An estimator refuses data with this and nothing
-/// else; any other exception that leaves it is a fault of the program.
+/// These data cannot be analysed: they contradict the assumptions of the analysis, or do not determine its
+/// result. what() states the value found and the value required. An estimator refuses data with this
+/// exception only; any other exception that leaves it is a fault of the program.
 class UnusableData : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

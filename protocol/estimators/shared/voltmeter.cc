@@ -7,7 +7,7 @@
 namespace abcal {
 namespace {
 
-/// How a source begins that the register gave (`{ from = "RECORD" }`); free text names no single instrument.
+/// Beginning of a source from the register (`{ from = "RECORD" }`); free text names no single instrument.
 constexpr std::string_view kOfRegister = "calibration ";
 
 void add_type_b(Quantity& quantity, double variance) {
@@ -18,7 +18,7 @@ void add_type_b(Quantity& quantity, double variance) {
   if (before > 0.0) quantity.degrees_of_freedom *= std::pow(quantity.standard_uncertainty / before, 4);
 }
 
-/// Of |s_j| and O_j, in the order of Covariance9: the angles between outputs do not change.
+/// Covariance of |s_j| and O_j, in the order of Covariance9: the angles between outputs do not change.
 Covariance9 intrinsic_share(const CalibrationResult& result, const EffectSizes& sizes) {
   Eigen::Matrix<double, 9, 1> by_gain = Eigen::Matrix<double, 9, 1>::Zero();
   Eigen::Matrix<double, 9, 1> by_offset = Eigen::Matrix<double, 9, 1>::Zero();

@@ -1,5 +1,5 @@
-// The loop closed: a run, its constants into the registers of the simulated instrument, and a run afterwards,
-// for each family of instruments; and what fails on the way.
+// The whole loop for each family of instruments: a run, its constants written into the registers of the
+// simulated instrument, and a run afterwards; and failures on the way.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -27,8 +27,8 @@ using testing::HasSubstr;
 
 struct Family {
   std::string name;
-  std::string accelerometer;  ///< [accelerometer] but for its port.
-  double unit_mps2 = 9.81;    ///< Near enough for the truth.
+  std::string accelerometer;  ///< [accelerometer] without its port.
+  double unit_mps2 = 9.81;    ///< Rounded: sufficient for the truth.
   double noise = 1e-4;        ///< g
   std::string more;           ///< Further sections.
   RegisterTexts earlier{};    ///< Content before the run, other than from the factory.
@@ -119,8 +119,8 @@ std::string bench_of(const Family& family) {
          "0.005\n";
 }
 
-/// Called with "identify", "correction_registers", "write", "written", "save", "saved" and "start"; what it
-/// throws, the instrument throws.
+/// Called with "identify", "correction_registers", "write", "written", "save", "saved" and "start". Its
+/// exceptions are those of the instrument.
 using Hook = std::function<void(std::string_view call)>;
 
 /// The accelerometer of a bench, and its registers, with a hook before each call.
@@ -282,7 +282,7 @@ TEST_P(ApplyToEachFamily, UndoBringsTheOldRegistersBack) {
 INSTANTIATE_TEST_SUITE_P(All, ApplyToEachFamily, testing::ValuesIn(families()),
                          [](const auto& family) { return family.param.name; });
 
-// Of a run with several items the constants of one go into that one; the others are left alone.
+// After a run with several items, the constants of one item go into that item only.
 TEST_F(ApplyTest, OneOfSeveralItemsIsWrittenVerifiedAndUndone) {
   const Family& family = families()[1];  // Its simulated instruments have serial numbers of their own.
   toml = bench_of(family);
@@ -424,7 +424,7 @@ TEST_F(ApplyTest, WhatCannotBeSavedIsNotWritten) {
   EXPECT_THROW((void)apply().apply(wanted), InstrumentError);
 }
 
-/// Where the first call of a kind fails after the old content was kept.
+/// The first call of a kind, made after the old content was kept, fails.
 class ApplyFails : public ApplyTest, public testing::WithParamInterface<const char*> {
  protected:
   void fail_once_at(const std::string& where) {
@@ -482,7 +482,7 @@ TEST_F(ApplyTest, AVerificationThatContradictsIsUndone) {
   confirm = [&](const ApplyReport&) {
     hook = [&](std::string_view call) {
       if (call != "start") return;
-      hook = {};  // After it was read back, something else gets into the registers.
+      hook = {};  // After the registers were read back, their content changes.
       RegisterTexts other = before;
       other[kCompensation] = "1,0,0,0,1,0,0,0,1,0,0,0";
       accelerometer().corrections()->write(other);
@@ -552,7 +552,7 @@ TEST(ComposedTest, CorrectsWhatIsLeftAfterWhatWasInForce) {
   S << 1.01, 0.0, 0.0, 0.02, 0.99, 0.0, -0.01, 0.005, 1.0;
   const CorrectionConstants found = constants(S, {0.3, 0.1, -0.2});
   const OutputCorrection wanted = composed(found, in_force, CorrectionShape::kFull);
-  // A raw reading, by hand: what the instrument put out, and what the acceleration was.
+  // A raw reading, computed by hand: the output of the instrument, and the acceleration.
   const Eigen::Vector3d raw(1.0, -4.0, 8.0);
   const Eigen::Vector3d output = in_force.matrix * (raw - in_force.offset);
   const Eigen::Vector3d acceleration = S.inverse() * (output - found.b);

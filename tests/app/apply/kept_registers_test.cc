@@ -62,8 +62,8 @@ class KeptRegistersTest : public testing::Test {
     return sum / 50;
   }
 
-  /// Follows the steps of apply: streamed before, written, gone when it is switched off; kept when it was
-  /// saved.
+  /// Follows the steps of apply: the instrument has streamed before, the registers are written, lost when it
+  /// is switched off, and kept if they were saved.
   void check_keeping(Accelerometer& accelerometer, const Eigen::Vector3d& offset) {
     const Eigen::Vector3d before = output(accelerometer);
     const RegisterTexts factory = read(accelerometer);
@@ -139,7 +139,7 @@ TEST_F(KeptRegistersTest, IioSaysThatItKeepsNothing) {
   driver->write(content);
   EXPECT_EQ(driver->correction_registers(), content);
   EXPECT_LT((driver->decode(content).offset - wanted.offset).norm(), 1e-7);
-  // Whole numbers of an ADIS part, and texts that say nothing that is known.
+  // Whole numbers of an ADIS part, and texts without a known meaning.
   RegisterTexts adis = content;
   adis["accel_x calibscale"] = "655";
   EXPECT_NEAR(driver->decode(adis).matrix(0, 0), 1.0 + 655.0 / 32768.0, 1e-12);

@@ -98,7 +98,7 @@ std::string range_of(const BenchKey& key) {
   return key.range.substr(0, key.range.find(", `"));
 }
 
-/// The line of the problem that this key, in the last line of a file, is told of; empty: none.
+/// The line of the problem reported for this key in the last line of a file; empty: none.
 std::string problem_of(const BenchKey& key, const std::string& toml) {
   const std::string text = problems_of(toml);
   const std::string where = fmt::format("line {}, [{}] {}: found ",

@@ -147,7 +147,7 @@ struct KnownChain {
   std::function<std::shared_ptr<sim::Firmware>(std::shared_ptr<sim::SimBench>)> make;
   std::string serial_number;
   std::vector<std::string> axes;
-  std::string questions;  ///< To see whether anything has changed.
+  std::string questions;  ///< They show whether anything has changed.
 };
 
 std::vector<KnownChain> known_chains() {
@@ -254,7 +254,7 @@ TEST_F(ProbeTest, ASilentPortIsDoneWithinEightSecondsAndAskedEachQuestionOnce) {
   EXPECT_EQ(asked, 2U);
 }
 
-/// Says one thing to everything.
+/// Gives one reply to every command.
 class OtherFirmware final : public sim::Firmware {
  public:
   void receive(std::string_view bytes, Clock::Instant now) override {

@@ -57,8 +57,8 @@ inline std::string replaced(std::string text, const std::string& from, const std
   return text;
 }
 
-/// A simulated run as if real instruments had measured it on a date, on a bench whose effects all have a
-/// source.
+/// Makes a simulated run look as if measured by real instruments on a date, on a bench whose effects all have
+/// a source.
 inline void as_if_real(ReportData& data, const std::string& date = "2026-03-01") {
   data.simulated.clear();
   data.run->header.created_utc = date + "T12:00:00.000Z";

@@ -240,7 +240,7 @@ TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScopeInWhateverUnit) {
   for (const double expanded : stated("abc_offsets")) EXPECT_NEAR(expanded, 0.020, 1e-4);
 }
 
-// The turn about X is what the run alone does not hold: `abcal level` measures it.
+// The run alone does not determine the turn about X: `abcal level` measures it.
 TEST_F(MakeCertificateTest, ALevellingReducesTheCertifiedUncertainty) {
   const auto expanded = [](const Certificate& certificate) {
     return CertificateXml(checked_xml(certificate, nullptr))

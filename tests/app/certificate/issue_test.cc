@@ -128,7 +128,7 @@ TEST_F(IssueTest, AnAmendmentNamesWhatItReplacesAndWhy) {
 }
 
 TEST_F(IssueTest, WhoMeasuredCannotApprove) {
-  // Whatever name is given for who measured: the events of the run say it.
+  // The events of the run state who measured, whatever name is given.
   EXPECT_THAT(abcal(issue({"--measured-by", "Third P."})).err, HasSubstr("by the events of the run"));
   registered->lab({"add", "person", "Second N. N.", "--role", "r", "--may", "approve"}, true);
   registered->lab({"retire", "person", "Operator N. N.", "--reason", "test"});
@@ -137,7 +137,7 @@ TEST_F(IssueTest, WhoMeasuredCannotApprove) {
 }
 
 TEST_F(IssueTest, ARunOfTheApproverNeedsAnotherApprover) {
-  // With a register the operator of a run is who is logged in.
+  // With a register the operator of a run is the person logged in.
   test::write_file(folder / "bench.toml",
                    replaced(certificate_bench(), "name = \"Operator N. N.\"", "name = \"\""));
   const auto made = abcal({"run", "bench.toml", "-o", "own.run"});
@@ -149,7 +149,7 @@ TEST_F(IssueTest, ARunOfTheApproverNeedsAnotherApprover) {
   const auto result = abcal(issue());
   EXPECT_EQ(result.exit_code, 0) << result.err;
   EXPECT_THAT(result.out, HasSubstr("measured by Approver N. N., approved by Second N. N."));
-  // Somebody who may not measure cannot start a run, nor under the name of another.
+  // A person who may not measure cannot start a run, not even under another name.
   EXPECT_THAT(abcal({"run", "bench.toml", "-o", "b.run"}).err, HasSubstr("may not measure"));
   registered->log_in("Operator N. N.");
   test::write_file(folder / "bench.toml",

@@ -1,4 +1,4 @@
-// `abcal report` with a certificate: what it writes, and what it refuses.
+// `abcal report` with a certificate: its files, and its refusals.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 

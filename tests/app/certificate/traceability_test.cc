@@ -17,7 +17,7 @@ using testing::Not;
 
 class TraceabilityTest : public CertificateTest {
  protected:
-  /// A request to issue that nothing speaks against.
+  /// A request to issue that meets all requirements.
   static CertificateRequest issuable(const std::string& laboratory = example_laboratory()) {
     CertificateRequest asked = request(laboratory);
     as_if_real(asked.run);
@@ -36,7 +36,7 @@ class TraceabilityTest : public CertificateTest {
            R"(","certificate":"C-9","issuer":"I","performed":"2026-01-01","due":"2027-01-01","sha256":"","values":[)" +
            values + "]}";
   }
-  /// A stage that reports no serial number, with the bench file's statement of it.
+  /// Makes the stage one that reports no serial number, with the bench file's statement of it.
   static void without_reported_number(CertificateRequest& asked, const std::string& role,
                                       const std::string& stated, const std::string& reported = "") {
     for (InstrumentIdentity& instrument : asked.run.run->header.instruments)
@@ -137,7 +137,7 @@ TEST_F(TraceabilityTest, AStageThatReportsNoSerialNumberNeedsOneThatTheBenchFile
   EXPECT_THAT(refusal(asked), HasSubstr("run, stage: found no serial number"));
 }
 
-/// A bench whose stage tells no serial number, with further keys of [stage].
+/// A bench whose stage reports no serial number, with further keys of [stage].
 std::string bench_with_silent_stage(const std::string& keys) {
   return replaced(certificate_bench(), "driver = \"pi_gcs\"\nport = \"simulated\"\n",
                   "driver = \"newport_xps\"\nport = \"simulated\"\n" + keys +
@@ -156,7 +156,7 @@ TEST_F(TraceabilityTest, ARunKeepsTheStatedSerialNumberAsStated) {
   }
   measure(bench_with_silent_stage(""), "silent.run", folder);
   EXPECT_EQ(serial_numbers_of(gather_report(folder / "silent.run", any_time()), "stage"), "");
-  // One that is reported is not stated otherwise.
+  // A reported serial number does not count as stated.
   const ReportData reported = gather_report(shared_run(), any_time());
   EXPECT_FALSE(is_serial_number_stated(reported, "stage"));
 }
@@ -192,7 +192,7 @@ TEST_F(TraceabilityTest, LocalGravityIsThatOfTheEquipmentForGravity) {
     EXPECT_THAT(with_source(source), HasSubstr("run, local gravity")) << source;
   for (const char* source : {"certificate EX-GRAV-7.", "EX-GRAV-7", "(EX-GRAV-7, 2025)", "survey, report 7"})
     EXPECT_EQ(with_source(source), "") << source;
-  // A survey that held when the run was made.
+  // A survey that was valid at the time of the run.
   EXPECT_THAT(refusal(issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"))),
               AllOf(HasSubstr("run, gravity"), Not(HasSubstr("run, local gravity"))));
   CertificateRequest both = issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"));
@@ -262,7 +262,7 @@ TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
 
 TEST_F(TraceabilityTest, WhoMeasuredIsWhoTheEventsSay) {
   CertificateRequest asked = issuable();
-  // The operator of the run may approve others, but not this one, whatever name is given for who measured.
+  // The operator of the run may approve others, but not this one, whatever name is given as the operator.
   asked.run.run->events.push_back({asked.run.ended_utc(), "operator stated", "Approver N. N."});
   asked.issue->measured_by = "Third P.";
   EXPECT_THAT(refusal(asked),

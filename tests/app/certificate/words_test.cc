@@ -161,7 +161,7 @@ TEST_F(WordsTest, EveryLanguageHasTheSentencesOfTheAnalysis) {
   }
 }
 
-/// The literal parts of the English side of a table that are long enough to tell a sentence.
+/// The literal parts of the English side of a table that are long enough to identify a sentence.
 std::vector<std::string> english_of(const std::string& language) {
   constexpr std::size_t kTelling = 14;
   std::vector<std::string> parts;
@@ -211,7 +211,7 @@ TEST_F(WordsTest, AGermanCertificateHasNoEnglishSentence) {
     EXPECT_THAT(english_in(checked_xml(make_certificate(std::move(issued)), nullptr)), IsEmpty())
         << estimator;
   }
-  // A draft with whatever speaks against it.
+  // A draft that lists many missing requirements.
   CertificateRequest draft =
       request(replaced(replaced(replaced(german, "performed = 2025-12-31", "performed = 1998-12-31"),
                                 "due = 2030-12-31", "due = 1999-12-31"),

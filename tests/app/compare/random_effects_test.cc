@@ -37,7 +37,7 @@ TEST(RandomEffects, EqualUncertaintiesLeaveTheRestOfTheScatterToTheResults) {
   EXPECT_NEAR(mean.mean, m, kRounding);
   EXPECT_NEAR(mean.between, std::sqrt(s2 - 0.01), kRounding);
   EXPECT_NEAR(mean.standard_uncertainty, std::sqrt(s2 / 4.0), kRounding);
-  EXPECT_GT(std::abs(mean.normalised_error[3]), 1.0);  // By what was claimed, 1.5 is outside.
+  EXPECT_GT(std::abs(mean.normalised_error[3]), 1.0);  // By the claimed uncertainty 1.5 is outside.
 }
 
 TEST(RandomEffects, WhatAllHaveInCommonIsNotAveragedDown) {

@@ -118,7 +118,7 @@ TEST(DocumentHtmlTest, SymbolsAndUnitsGetTheirSigns) {
   EXPECT_THAT(page.find("//td[@class='unit']"), ElementsAre("°", "g/gloc"));
 }
 
-// Whatever stands above a table: its second row takes three lines, so that it often does not fit below the
+// For any text above a table: its second row takes three lines, so that it often does not fit below the
 // first.
 TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
   const Tool kPdfText{"pdftotext", "the test needs", "poppler-utils"};

@@ -27,8 +27,8 @@ class EvidenceTest : public CertificateTest {
     SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute(sql);
   }
 
-  /// Changes a run and makes everything that depends on it again: means are the business of `sql`; chain of
-  /// dwells, seal, the hash in the results, the analyses.
+  /// Changes a run and makes everything that depends on it again: chain of dwells, seal, the hash in the
+  /// results, the analyses. The means have to be changed by `sql`.
   void forge(const std::string& sql) const {
     change(sql);
     {

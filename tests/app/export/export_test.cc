@@ -114,7 +114,7 @@ class ExportTest : public testing::Test {
     return path;
   }
 
-  /// In m/s2, which is what the readers of most formats mean by raw.
+  /// In m/s2, the unit of raw readings for the readers of most formats.
   RunRecord record = run_of(item(kG), "m/s2");
 };
 
@@ -348,7 +348,7 @@ TEST_F(ExportTest, AMatlabFileHoldsTheRuleThatItNames) {
       worst_norm_error(record, 1.0,
                        [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return matrix * (r - offset); }),
       1e-4);
-  EXPECT_NE(matrix(0, 1), matrix(1, 0));  // So that a transposed matrix would show.
+  EXPECT_NE(matrix(0, 1), matrix(1, 0));  // Otherwise a transposed matrix would not be found.
   EXPECT_EQ(numbers_of(file.get(), "g_loc_mps2"), std::vector<double>{kG});
 }
 

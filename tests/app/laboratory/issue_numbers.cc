@@ -1,4 +1,4 @@
-// Gives numbers to certificates, in a process of its own: register, person, password, who I am, how many.
+// Gives numbers to certificates, in a process of its own. Arguments: register, person, password, name, count.
 #include <cstdio>
 #include <cstdlib>
 #include <exception>

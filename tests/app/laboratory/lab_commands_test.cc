@@ -16,8 +16,8 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-/// The bench of the certificates with a stage that hardly errs, with its own noise, and an offset that may be
-/// off.
+/// The bench of the certificates with a stage of small errors, its own noise, and an offset that may be
+/// shifted.
 std::string check_bench(int seed, double offset_shift = 0.0) {
   std::string text =
       replaced(certificate_bench(), "noise = 1e-4", "noise = 1e-4\nseed = " + std::to_string(seed));
@@ -135,7 +135,7 @@ TEST_F(ChartCommands, ARunOfTheCheckStandardSaysThatItsChartWaitsForIt) {
   ASSERT_EQ(chart({"add", "SN-42", "today.run"}).exit_code, 0);
   EXPECT_THAT(chart({"show", "SN-42"}).out, Not(HasSubstr("waits")));
 
-  // Another item is no business of the chart.
+  // The chart does not apply to another item.
   test::write_file(folder / "other.toml", replaced(check_bench(2), "\"SN-42\"", "\"SN-43\""));
   EXPECT_THAT(abcal({"run", "other.toml", "-o", "other.run"}).err, Not(HasSubstr("check standard")));
 }
@@ -209,7 +209,7 @@ TEST_F(RecordCommands, WhatARecordSaysIsShownUsedAndFrozenIntoTheRun) {
                     HasSubstr("Local gravity 9.80107 m/s2: calibration EX-G-7 of SITE-1")));
   const auto made = abcal({"run", "bench.toml", "-o", "b.run"});
   ASSERT_EQ(made.exit_code, 0) << made.err;
-  // The register is lost: the run keeps what it said.
+  // Without the register, the run keeps the data taken from it.
   std::filesystem::remove(folder / "register.db");
   test::TrainingRegister::leave();
   const StoredRun stored = RunFile::load(folder / "b.run");

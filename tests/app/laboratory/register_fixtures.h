@@ -27,7 +27,7 @@ inline Clock::UtcTime at(int seconds) {
                         std::chrono::seconds(seconds));
 }
 
-/// The words of what a call throws; empty: nothing.
+/// The text of the exception of a call; empty: none.
 template <class Call>
 std::string refusal(const Call& call) {
   try {

@@ -185,7 +185,7 @@ TEST(PlanPredictionTest, HoldsOnRandomBenches) {
     if (!result.sensitivity_matrix) continue;
     const PlannedValues predicted = prediction_after_a_run(drawn).u;
     const Stated found = stated(result);
-    // A run that finds a wandering noise in its readings states what that makes.
+    // A run that finds a wandering noise in its readings states the uncertainty due to it.
     const bool wanders = result.joint->process_probability > 0.5;
     wandering += wanders ? 1 : 0;
     for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
@@ -231,7 +231,7 @@ std::array<std::vector<double>, kPlannedOutputs> squared_errors(const Calibratio
   return squares;
 }
 
-/// A prediction is worth what the errors say: every effect is drawn from its stated size.
+/// Predictions must agree with the errors of runs in which every effect is drawn from its stated size.
 TEST(LongPlanPrediction, RmsErrorsOf200RunsAreThosePredicted) {
   constexpr int kRuns = 200;
   const std::vector<Scenario>& scenarios = robustness_scenarios();

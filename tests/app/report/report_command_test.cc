@@ -1,4 +1,4 @@
-// abcal report: what it says of runs of every kind, what it writes, and what it refuses to overwrite.
+// abcal report: its contents for runs of every kind, its files, and those that it refuses to overwrite.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -37,7 +37,7 @@ using ::testing::StartsWith;
 const Tool kPython{"python3", "the test needs", "python3"};
 const Tool kPdfText{"pdftotext", "the test needs", "poppler-utils"};
 
-/// PATH for as long as it lives.
+/// Sets PATH during its lifetime.
 class PathOf {
  public:
   explicit PathOf(const std::string& value) : before_(std::getenv("PATH")) {
@@ -256,7 +256,7 @@ print("good")
   test::check_with_h5py(folder.path());
 }
 
-// Whoever reads a number sees which sizes behind it are nobody's.
+// Every output states which sizes of effects are defaults.
 TEST_F(ReportTest, PlanRunAnalyseAndReportSayWhichSizesAreDefaults) {
   const ProgramResult measured = run("[stage_uncertainty]\nwobble_urad = 12\n");
   ASSERT_EQ(measured.exit_code, 0) << measured.err;
@@ -385,7 +385,7 @@ TEST_F(ReportTest, WithoutGnuplotThePageSaysWhatItLacks) {
               AllOf(HasSubstr("No figure here: figures need gnuplot"), Not(HasSubstr("<svg"))));
 }
 
-// The disk may have room for the angles and none for why the run ended: both kinds are looked for.
+// The disk may have room for the angles but none for the reason of the end: both cases must occur.
 TEST_F(ReportTest, AnInterruptedRunSaysSoOnTop) {
   std::set<RunState> seen;
   for (rlim_t bytes = 200'000; seen.size() < 2 && bytes < 300'000; bytes += 8192) {

@@ -1,4 +1,4 @@
-// Backlash that no approach from below takes out: plan, result and report say so, by the program.
+// Backlash that no approach from below removes: plan, result and report of the program say so.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

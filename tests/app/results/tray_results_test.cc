@@ -112,7 +112,7 @@ TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
   EXPECT_EQ(others->standard_uncertainty, 1.0);
   EXPECT_EQ(others->unit, "1");
   EXPECT_TRUE(others->contribution.allFinite());
-  // Alone it is known less well.
+  // Analysed alone, the item is known less well.
   const CalibrationResult alone = analyse(data.record, "joint");
   EXPECT_LT(joint.offset[0].standard_uncertainty, alone.offset[0].standard_uncertainty);
   bool found = false;

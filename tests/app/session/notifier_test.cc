@@ -1,5 +1,4 @@
-// Messages of a run to others: which there are, and that a receiver on this machine gets them as they were
-// meant.
+// Notifications of a run: their kinds, and that a receiver on this machine gets them as they were meant.
 
 #include "app/operate/session/notifier.h"
 
@@ -36,7 +35,7 @@ FinishedEvent finished() {
   return event;
 }
 
-/// A server on this machine that takes one connection and talks as `talk` does. @return what that returns
+/// A server on this machine that takes one connection and serves it by `talk`; heard() gives its result.
 class Receiver {
  public:
   explicit Receiver(std::function<std::string(tcp::iostream& client)> talk)
@@ -94,7 +93,7 @@ NotifyConfig webhook(std::string address) {
 class NotifierTest : public testing::Test {
  protected:
   void SetUp() override { set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path()); }
-  /// Sends the messages of a run that begins and ends. @return what went wrong
+  /// Sends the messages of a run that begins and ends. @return the problems
   static std::vector<std::string> tell(const NotifyConfig& config) {
     Notifier notifier(config);
     RunBeganEvent began;

@@ -32,7 +32,7 @@ DwellRecord a_dwell() {
   return dwell;
 }
 
-/// One of each kind, every member different from its default.
+/// One event of each kind, every member different from its default.
 std::vector<SessionEvent> events() {
   RunBeganEvent began;
   began.file = "runs/a.run";
@@ -114,7 +114,7 @@ TEST(SessionEventsTest, EachOfSeveralItemsIsInADwell) {
                                        {"mean", {1.0, 2.0, 3.0}},
                                        {"flags", kFlagStuck | kFlagHeld},
                                        {"temperature_degc", 23.5}}));
-  // The only one that is left is named, unless it is the first.
+  // The number of the only remaining item is stated, unless it is the first.
   const json alone = to_json_object(DwellDoneEvent{6, {{2, second}}});
   EXPECT_EQ(alone["dwell"]["mean"][0], 1.0);
   EXPECT_EQ(alone["items"][0]["k"], 2);

@@ -1,5 +1,5 @@
-// Series over temperature inside the test: chambers of both makers, and chambers, doors and persons that end
-// one.
+// Series over temperature inside the test: chambers of both makers, and series that are ended by a chamber, a
+// door or a person.
 
 #include "app/operate/session/temperature_series.h"
 

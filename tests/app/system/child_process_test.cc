@@ -1,4 +1,4 @@
-// Other programs: what they begin with, and that nothing of them is left behind.
+// Other programs: their state at the start, and that they leave nothing behind.
 
 #include "app/ground/system/child_process.h"
 
@@ -26,7 +26,7 @@ using testing::HasSubstr;
 
 const Tool kShell{"sh", "the test needs", "dash"};
 
-/// Whether a process has ended; a zombie whose new parent has not looked yet has.
+/// Whether a process has ended; a zombie counts as ended.
 bool has_ended(const std::string& pid) {
   const std::string status = test::read_file("/proc/" + pid + "/stat");
   return status.empty() || status.find(") Z") != std::string::npos;
@@ -126,7 +126,7 @@ TEST_F(ChildProcessTest, EndsWhereWeAreKilled) {
   EXPECT_TRUE(test::wait_for([&] { return has_ended(first_line(file)); }, 10s));
 }
 
-// ~/.gnuplot is a program: whoever can write it must not run it through a report.
+// ~/.gnuplot is a program: a report must not run it.
 TEST_F(ChildProcessTest, GnuplotReadsNoStartUpFile) {
   if (!is_installed(kGnuplot)) GTEST_SKIP() << "gnuplot is not installed";
   test::write_file(folder / ".gnuplot", "system 'touch " + (folder / "run").string() + "'\n");

@@ -48,7 +48,7 @@ TEST(ShortenedTextTest, SaysHowMuchIsLeftOutAndCutsNoCharacter) {
   EXPECT_EQ(shortened_text("123µ5", 4), "123... (3 bytes more)");
 }
 
-/// Takes the place of a standard descriptor for as long as it lives.
+/// Replaces a standard descriptor during its lifetime.
 class Replaced {
  public:
   Replaced(int descriptor, int by) : descriptor_(descriptor), kept_(::dup(descriptor)) {
@@ -81,7 +81,7 @@ class Pipe {
     if (ends_[0] >= 0) ::close(ends_[0]);
     ends_[0] = -1;
   }
-  /// Leaves no room.
+  /// Fills the pipe completely.
   void fill() const {
     const std::string block(4096, '.');
     set_blocking(ends_[1], false);
@@ -89,7 +89,7 @@ class Pipe {
     }
     set_blocking(ends_[1], true);
   }
-  /// All that is in it.
+  /// Takes all text from the pipe.
   std::string drain() const {
     std::string text;
     std::array<char, 4096> block{};
@@ -174,7 +174,7 @@ TEST(OutputTest, EmphasisIsForATerminalOnly) {
   EXPECT_EQ(pipe.drain(), "bad\n\\xfbforged\\xf8\n");
 }
 
-// fmt::print throws where nobody reads, and a stream says nothing.
+// fmt::print throws if nobody reads, and a stream fails silently.
 TEST(OutputTest, NothingElseOfAppPrints) {
   std::size_t looked_at = 0;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(test::source_folder() / "app")) {

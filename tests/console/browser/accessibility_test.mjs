@@ -1,4 +1,4 @@
-// For everybody: what the other tests do not look at.
+// Accessibility of the views that no other test examines: idle, dialog, wall display, printed result.
 import assert from 'node:assert/strict';
 import {abcal, begin, complainsOfNothing, look, says, served} from './page_test.mjs';
 

@@ -37,7 +37,7 @@ async function handIn(page, file, words) {
 step('shows the keys of who is logged in, and makes what is to be signed', async (page) => {
   await logIn(page, 'Admin N. N.');
   await served.entered();
-  served.problems.length = 0;  // Of the page that asks who it is.
+  served.problems.length = 0;  // Drops those of the login page.
   await page.goto(`${served.address}#runs/first.run`);
   await prepare(page);
   assert.equal(await page.locator('#approve-by-key code').first().innerText().then((words) => words.length), 64);
@@ -53,7 +53,7 @@ step('refuses another signature, and takes that of the approver', async (page) =
   sign(xml, 'operator', 'operator.xml');
   await handIn(page, 'operator.xml', /none of Admin N\. N\.'s in the register/);
   sign(xml, 'admin', 'signed.xml');
-  served.problems.length = 0;  // The browser tells of each refusal.
+  served.problems.length = 0;  // Drops the refusals, which the browser reports.
   await page.locator('#key-file').choose(inFolder('signed.xml'));
   await page.locator('#hand-in-form button.go:enabled').click();
   await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();
@@ -75,5 +75,5 @@ step('says so in German too', async (page) => {
   await handIn(page, 'unsigned.xml', /nicht der Kalibrierschein, der zu signieren war/);
   await eventually(async () => assert.equal(await page.locator('#key-said [lang=en]').count(), 0));
   await noEnglish();
-  served.problems.length = 0;  // The refusal.
+  served.problems.length = 0;  // Drops the refusal.
 });

@@ -1,4 +1,4 @@
-// The page claims nothing that is not so: of requests, of control, of the time left, of what has halted, of runs that went on or ended.
+// The page makes no false statement on requests, control, the time left, halted axes, and runs that went on or ended.
 import assert from 'node:assert/strict';
 import {begin, confirmDialog, ENDLESS, says, served, stateIs} from './page_test.mjs';
 
@@ -6,8 +6,8 @@ const PACE = 3;
 const step = begin({pace: PACE, bench: ENDLESS});
 const contact = () => served.page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
 
-// In the page, before its scripts: what the console tells is told by the test as well, and while the page is `away` it does not
-// connect again.
+// Runs in the page, before its scripts: lets the test send messages as the console does, and prevents a new connection while the
+// page is `away`.
 function tap() {
   globalThis.WebSocket = class extends WebSocket {
     constructor(address) {
@@ -64,7 +64,7 @@ step('a page that has control again says nothing else', async (page) => {
 });
 
 step('without contact the time left is the last that was known', async (page) => {
-  // Of a run that ended a moment before, there is none.
+  // After the end of a run no time is left.
   await page.evaluate(() => {
     globalThis.away = true;
     globalThis.line.onmessage({data: JSON.stringify({type: 'activity', activity: 'idle', hold_asked: false, stop_asked: false})});

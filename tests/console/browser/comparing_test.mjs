@@ -18,7 +18,7 @@ step('compares two runs and shows the control chart of an item', async (page) =>
   await page.locator('#chart-words').waitFor();
   await page.locator('#chart-body tbody tr').countIs(2);
   await says('#chart-words', /^Centre [\d.]+ g\/g_loc; limits/);
-  // The legend shows each line as it is drawn, not by colour alone.
+  // The legend shows each line with its dashes, so that lines do not differ by colour alone.
   const samples = await page.evaluate(() => Chart.getChart(document.querySelector('#chart-body canvas')).legend.legendItems
     .filter(({text}) => !text.startsWith('_')).map(({pointStyle}) => pointStyle.toDataURL()));
   assert.equal(new Set(samples).size, 4, `${samples.length} lines`);

@@ -1,5 +1,5 @@
-// What the page says when it does not know: the console stopped, killed, restarted; the process that holds the bench killed.
-// And how anybody stops the bench.
+// The statements of the page without contact: console stopped, killed, restarted; the process that holds the bench killed. Also
+// how anybody stops the bench.
 import assert from 'node:assert/strict';
 import {begin, confirmDialog, ENDLESS, eventually, measured, says, served, stateIs, text} from './page_test.mjs';
 
@@ -42,7 +42,7 @@ step('with the console stopped: nothing counts on, all is stamped, and a stop sa
   assert.equal((await halt())[0], 'Stop: sent');
   served.server.kill('SIGCONT');
   await contact();
-  // It was sent, after all.
+  // The Stop was sent nevertheless.
   await stateIs(/^The run is interrupted and can be resumed/);
   await says('#halt', /^Axis X has halted\. Axis Z has halted\./);
 });

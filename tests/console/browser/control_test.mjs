@@ -18,17 +18,17 @@ step('another page watches, and steers only after it took control', async (page)
   const other = await served.newPage();
   await other.goto(served.address);
   await served.measuredAtLeast(8, other);
-  await other.locator('#do-stop').becomesEnabled();  // Who watches may stop.
+  await other.locator('#do-stop').becomesEnabled();  // A page that only watches may stop.
   assert.ok(await other.locator('#do-continue').isDisabled());
   await other.locator('#who-steers').says(/^page \d+ at 127\.0\.0\.1:\d+ steers\.$/);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
   await other.locator('#do-continue:enabled').waitFor();
-  // The page that lost it is told by whom.
+  // The page that lost control names the page that has taken it.
   await page.getByText(/This page no longer has control: page \d+ at 127\.0\.0\.1:\d+ has taken it/).waitFor();
   await page.locator('#do-continue').becomesDisabled();
   await other.close();
-  // Only when the console has noticed that nobody steers: before, the button asks, and nobody would answer.
+  // Waits until the console has noticed that nobody steers: before, the button opens a dialog that nobody answers.
   await page.getByRole('button', {name: 'Take control'}).click();
   await page.locator('#do-continue:enabled').waitFor();
 });

@@ -1,2 +1,2 @@
-// The same day in real time: see ABCAL_DAY there.
+// The day of day_test.mjs in real time (ABCAL_DAY).
 import './day_test.mjs';

@@ -54,7 +54,7 @@ step('fills the queue by a scanner, and reorders it', async (page) => {
   assert.equal(await page.locator('#queue-list b').count(), 0, 'a serial number is text');
   await page.locator('[aria-label^="Up: SN 0500"]').click();
   await page.locator('#queue-list tbody tr:first-child', {hasText: 'SN 0500'}).waitFor();
-  await page.waitForFunction(() => /^Up: SN 0500/.test(document.activeElement.getAttribute('aria-label')));  // It keeps the focus.
+  await page.waitForFunction(() => /^Up: SN 0500/.test(document.activeElement.getAttribute('aria-label')));  // The button keeps the focus.
   assert.ok(await page.locator('#queue-next').isHidden(), 'paused at first');
   await page.getByRole('button', {name: 'Let the queue go on'}).click();
   await page.locator('#queue-next', {hasText: 'Mount SN 0500'}).waitFor();
@@ -88,7 +88,7 @@ step('issues the certificate, which a second person approves with a password', a
   await page.getByText('Operator N. N. may not approve').waitFor();
   await approve('Admin N. N.', 'another horse 7');
   await page.getByText('Name or password is not right.').waitFor();
-  // An answer that is lost says nothing of the request.
+  // If an answer is lost, it is unknown whether the request was carried out.
   await page.evaluate(() => {
     const ask = globalThis.fetch;
     globalThis.fetch = async (path) => { globalThis.fetch = ask; throw new TypeError(`no answer to ${path}`); };
@@ -116,7 +116,7 @@ step('a restarted server has the queue, paused', async (page) => {
   const ended = new Promise((resolve) => served.server.on('exit', resolve));
   served.server.kill('SIGINT');
   await ended;
-  served.problems.length = 0;  // The page has told of the lost connection.
+  served.problems.length = 0;  // Drops the lost connection, which the page reported.
   await served.serveAgain(...paceWords);
   await served.goTo('queue');
   await page.locator('#queue-state', {hasText: 'paused'}).waitFor();

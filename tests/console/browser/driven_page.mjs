@@ -1,16 +1,16 @@
-// A page of a browser that puppeteer-core drives. What is asked for is waited for, up to PATIENCE. It is looked for again
-// and again from here: puppeteer's own waiting puts a function into the page as text, which the console's policy forbids.
+// A page of a browser that puppeteer-core drives. Conditions are polled from here, up to PATIENCE: puppeteer's own waiting puts a
+// function into the page as text, which the console's policy forbids.
 import assert from 'node:assert/strict';
 
 // ms; a busy machine is slow, and a run takes some seconds on a fast one, but minutes in real time.
 export const PATIENCE = 1000 * Number(process.env.ABCAL_PATIENCE_S || 25);
 
-// ms; a click that the page has not heard by then fell on something disabled.
+// ms; a click without an event by then has hit a disabled element.
 const HEARD_WITHIN = 2000;
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
-// What `look` gives, as soon as it is true.
+// Polls `look`, and returns its first true result.
 export async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
   const end = performance.now() + timeout;
   for (;;) {
@@ -18,7 +18,7 @@ export async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
     try {
       const seen = await look();
       if (seen) return seen;
-    } catch (error) {  // E.g. the page was loaded again meanwhile.
+    } catch (error) {  // For example, the page was loaded again meanwhile.
       problem = `: ${error.message}`;
     }
     if (performance.now() > end) throw new Error(`waited ${timeout} ms in vain for ${what}${problem}`);
@@ -26,7 +26,7 @@ export async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
   }
 }
 
-// Asserts again and again until nothing is thrown. What the page does a moment after a click, a key or a message is asserted so.
+// Repeats an assertion until it does not throw: for changes of the page shortly after a click, a key or a message.
 export async function eventually(assertion) {
   for (const end = performance.now() + PATIENCE;; await pause(30)) {
     try {
@@ -37,7 +37,7 @@ export async function eventually(assertion) {
   }
 }
 
-// In the page: all elements that the steps lead to.
+// Runs in the page: all elements that the steps lead to.
 function found(steps) {
   let all = [document];
   for (const {css, text, pattern, without, exact, innermost, first} of steps) {
@@ -62,12 +62,12 @@ const STATES = {
   usable: (element) => element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled'),
   reachable: (element) => {
     element.scrollIntoView({block: 'center', behavior: 'instant'});
-    const {x, y, width, height} = element.getClientRects()[0];  // Of its first line.
+    const {x, y, width, height} = element.getClientRects()[0];  // The box of its first line.
     return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
   },
 };
 
-// Elements by what they are and say; the first of them is meant where one is asked for.
+// Elements by selector and text. Functions for a single element use the first one.
 class Elements {
   constructor(page, steps) {
     this.page = page;
@@ -90,7 +90,7 @@ class Elements {
   becomesDisabled() { return until(() => this.isDisabled(), {what: `${JSON.stringify(this.steps)} to be disabled`}); }
   becomesEnabled() { return this.one('usable'); }
   countIs(n) { return eventually(async () => assert.equal(await this.count(), n, JSON.stringify(this.steps))); }
-  // A text: the whole of it; or a pattern.
+  // Waits for a text: all of it as a string, or a pattern.
   says(words) {
     return eventually(async () => {
       const said = await this.innerText();
@@ -109,14 +109,14 @@ class Elements {
     }, {what: `${JSON.stringify(this.steps)} to be ${state}`});
   }
 
-  // Looked for anew if it was made anew before it was pressed, as the rows of a list are; pressed again if it was disabled at that
-  // very moment, as a button is while the form is checked. Gone with its page: it was pressed. (In Firefox it can still be asked,
-  // and the new page knows of no click: not false, but undefined.)
+  // Finds the element again if it was replaced before the click, as the rows of a list are; clicks again if it was disabled at that
+  // moment, as a button is while the form is checked. If its page is gone, the click was effective. (Firefox still evaluates in the
+  // new page, where clickHeard is undefined and not false.)
   click(options) {
     return until(async () => {
       const element = await this.one('usable');
       if (!await element.evaluate(STATES.reachable)) return false;
-      // On the document: what was pressed may have been made anew at that moment, as the rows of a list are.
+      // On the document, as the pressed element may be replaced at that moment, as the rows of a list are.
       await element.evaluate(() => {
         globalThis.clickHeard = false;
         document.addEventListener('click', () => { globalThis.clickHeard = true; }, {capture: true, once: true});
@@ -139,11 +139,11 @@ class Elements {
   async selectOption(value) { await (await this.one('usable')).select(value); }
 }
 
-// A slow computer and a slow line: the page's work takes `times` as long, and what it is told, and the change of a view, comes
-// late. Run in the page before its scripts. (Firefox is only told late.)
+// A slow computer and a slow line: the page's work takes `times` as long, and messages and changes of the view are late. Runs in
+// the page before its scripts. (In Firefox messages are late, but the work takes as long as usual.)
 function late(times) {
   const wait = () => 40 * times * Math.random();
-  let last = 0;  // In the order in which they came.
+  let last = 0;  // The delayed messages keep their order.
   const queued = (does) => {
     last = Math.max(last, performance.now() + wait());
     setTimeout(does, last - performance.now());
@@ -188,12 +188,12 @@ export class DrivenPage {
   screenshot(options) { return this.page.screenshot(options); }
   cookies() { return this.page.browserContext().cookies(); }
   setOffline(offline) { return this.page.setOfflineMode(offline); }
-  // Firefox 140 (Debian 13) has no orientation of the screen, which is asked for beside the size.
+  // Firefox 140 (Debian 13) has no screen orientation, which puppeteer-core sets together with the size.
   async setViewportSize(size) {
     await this.page.setViewport(size).catch((error) => { if (!/unknown command emulation.setScreenOrientationOverride/.test(error.message)) throw error; });
     await eventually(async () => assert.equal(await this.page.evaluate(() => innerWidth), size.width));
   }
-  // E.g. {'prefers-color-scheme': 'dark'}; of Firefox puppeteer-core cannot ask that.
+  // For example {'prefers-color-scheme': 'dark'}; puppeteer-core cannot set this in Firefox.
   async emulateMedia(features) {
     if (this.browserName === 'chromium') await this.page.emulateMediaFeatures(Object.entries(features).map(([name, value]) => ({name, value})));
   }

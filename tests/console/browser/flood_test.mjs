@@ -1,5 +1,5 @@
-// A console that is flooded while a run goes on: a thousand connections that say nothing, requests that come byte by byte, and
-// requests as fast as they are answered. Others are served, the run goes on, and afterwards nothing of it is left.
+// A console that is flooded during a run: a thousand silent connections, requests that arrive byte by byte, and requests as fast
+// as they are answered. Others are served, the run goes on, and afterwards memory and descriptors are as before.
 import assert from 'node:assert/strict';
 import {readdirSync, readFileSync} from 'node:fs';
 import http from 'node:http';
@@ -9,7 +9,7 @@ import {eventually, until} from './driven_page.mjs';
 import {ENDLESS} from './page_test.mjs';
 import {fromRegistry, ServedPage} from './served_page.mjs';
 
-const LONGEST_ANSWER = 1000, LONGEST_SILENCE = 3000;  // ms; at the latter a page says that it has no contact
+const LONGEST_ANSWER = 1000, LONGEST_SILENCE = 3000;  // ms; after the latter a page reports no contact
 const WebSocket = fromRegistry('ws');
 const served = new ServedPage();
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -33,8 +33,8 @@ function get(agent = false) {
   });
 }
 
-// How long one answer takes, in ms. Among a thousand that come at once a connection may be ended as the oldest that has said
-// nothing yet; a browser asks again then.
+// How long one answer takes, in ms. Among a thousand new connections, this one may be ended as the oldest silent one; a browser
+// then asks again.
 async function ask(agent = false) {
   const asked = performance.now();
   for (;; ++again) {

@@ -1,4 +1,4 @@
-// With the keyboard alone: Stop is first, focus is always somewhere, always seen, and never under the banner.
+// With the keyboard alone: Stop is first, and the focus is never lost, always visible, and never under the banner.
 import assert from 'node:assert/strict';
 import {begin, complainsOfNothing, ENDLESS, eventually, served, stateIs, unseen} from './page_test.mjs';
 
@@ -37,7 +37,7 @@ step('keeps the focus in what it steers, through all that a run does', async (pa
   await served.entered();
   await page.locator('#do-stop:enabled').waitFor();
   await page.keyboard.press('Tab');
-  await focusIs('do-stop');  // It is first.
+  await focusIs('do-stop');  // Stop is first.
   await page.keyboard.press('Enter');
   await stateIs(/^The run is interrupted/);
   await page.locator('#do-stop').becomesDisabled();

@@ -1,4 +1,4 @@
-// In German, what is done at the bench and with the queue: no English but what is marked so.
+// Activities at the bench and with the queue in German: no English text that is not marked as English.
 import assert from 'node:assert/strict';
 import {abcal, barriers, begin, complainsOfNothing, confirmDialog, eventually, inGerman, look, noEnglish, served} from './page_test.mjs';
 
@@ -7,7 +7,7 @@ const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'f
   await served.page.locator('#take-control').click();
 }});
 
-// What is marked as English: the program's words without a German form.
+// No text is marked as English, i.e. every text of the program has a translation.
 const nothingLeftInEnglish = (where) => eventually(async () => assert.deepEqual(
   await served.page.evaluate((within) => [...document.querySelectorAll(`${within} [lang=en]`)].map((each) => each.textContent), where), []));
 

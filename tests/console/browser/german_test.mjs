@@ -1,4 +1,4 @@
-// In German, what there is of runs: no English but what is marked so.
+// The views of runs in German: no English text that is not marked as English.
 import assert from 'node:assert/strict';
 import {abcal, begin, complainsOfNothing, eventually, inGerman, look, noEnglish, says, served} from './page_test.mjs';
 
@@ -14,7 +14,7 @@ for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first
     await says('#result-checks', /Verrutschen/);
     assert.deepEqual(await page.evaluate(() => [...document.querySelectorAll('#result-checks [lang=en], #verdict [lang=en]')].map((each) => each.textContent)), []);
     await look('result-german');
-    // A tablet: German words are the longest, and here tables are tables still.
+    // A tablet: German words are the longest, and at this width tables are still tables.
     await page.setViewportSize({width: 768, height: 1024});
     await eventually(async () => assert.equal(await page.evaluate(() => Math.max(0, document.documentElement.scrollWidth - innerWidth)), 0));
   });

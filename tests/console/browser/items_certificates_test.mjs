@@ -1,4 +1,4 @@
-// Of a run with several items each has a certificate of its own: by password, by key, amended.
+// Each item of a run with several has its own certificate: by password, by key, amended.
 import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import path from 'node:path';
@@ -30,7 +30,7 @@ const certificate = async (page, k) => {
 step('one item by the password of who approves', async (page) => {
   await logIn(page, 'Admin N. N.');
   await served.entered();
-  served.problems.length = 0;  // Of the page that asks who it is.
+  served.problems.length = 0;  // Drops those of the login page.
   await openItem(page, 2);
   await page.locator('#approve-password').fill(PASSWORD);
   await page.locator('#approve-seen').check();

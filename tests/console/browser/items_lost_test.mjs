@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import {barriers, begin, complainsOfNothing, confirmDialog, eventually, look, noEnglish, says, served, stateIs} from './page_test.mjs';
 import {emulatedTray, LINKS} from './tray.mjs';
 
-let control;  // Of the emulator.
+let control;  // Sends a request to the emulator.
 const step = begin({bench: emulatedTray, prepare: async () => { control = await served.emulate(LINKS); }});
 const card = (page, k) => page.locator(`#items > li[data-item="${k}"]`);
 const measuredOf = async (page, k) => Number((await card(page, k).innerText()).match(/(\d+) of \d+ angles/)[1]);
@@ -42,7 +42,7 @@ step('a run is resumed without the items that are not there if a person says so'
   await page.locator('#log-lines', {hasText: /1 of 2 are not there/}).waitFor();
   await page.locator('#banner-word', {hasText: 'Faulted'}).waitFor();
 
-  // It was not resumed, and can be.
+  // The run was not resumed, and still can be.
   await page.locator('#resume-interrupted:enabled').click();
   await page.locator('#resume-without-missing').check();
   await confirmDialog();
@@ -51,7 +51,7 @@ step('a run is resumed without the items that are not there if a person says so'
   await card(page, 3).locator('.grade-warning', {hasText: 'no reading for 2 s'}).waitFor();
   await eventually(async () => assert.ok(await measuredOf(page, 2) < await measuredOf(page, 1)));
   await says('#response-of', ': Item 1');
-  await says('#strip-of', ': Item 2');  // As it was chosen.
+  await says('#strip-of', ': Item 2');  // The chosen item stays.
 });
 
 step('says so in German too', async (page) => {

@@ -25,7 +25,7 @@ step('each item has a card while the run goes on', async (page) => {
   await look('items-live');
 });
 
-// What the console has told of the readings.
+// The readings that the console reports.
 const told = (page) => page.evaluate(() => new Promise((resolve) => {
   const socket = new WebSocket(`ws://${location.host}/live`);
   socket.onmessage = ({data}) => {
@@ -53,7 +53,7 @@ step('the readings of one item are drawn, of the one that is chosen', async (pag
     });
   }
   await page.goto(`${served.address}#kiosk`);
-  await page.locator('#strip-choice').becomesHidden();  // Nothing to press but Stop.
+  await page.locator('#strip-choice').becomesHidden();  // Stop is the only control.
   assert.ok(await page.locator('#strip-of').isVisible());
   await look('items-kiosk');
   await page.goto(`${served.address}#live`);

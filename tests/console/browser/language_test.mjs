@@ -1,4 +1,4 @@
-// English and German: every text of the page has German words, and of a run a German page shows no English but what is marked so.
+// English and German: every text of the page has a translation, and a German page shows no English of a run that is not marked.
 import assert from 'node:assert/strict';
 import {readdirSync, readFileSync} from 'node:fs';
 import path from 'node:path';
@@ -7,13 +7,13 @@ import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, eventually,
 import {SIZES} from './served_page.mjs';
 
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
-// By its text: Node 18 takes a file "*.js" for a module only where a package.json says so.
+// Imports the text of the file: Node 18 takes "*.js" for a module only if a package.json says so.
 const germanOf = async (name) => (await import(`data:text/javascript,${encodeURIComponent(readFileSync(path.join(folder, name), 'utf8'))}`)).default;
 const german = await germanOf('de.js');
 const step = begin({pace: 5, bench: ENDLESS});
-const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch', 'Esc Esc']);  // In every language.
+const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch', 'Esc Esc']);  // Equal in every language.
 
-// The texts that stand in the sources as t`...` or t('...').
+// The texts in the sources as t`...` or t('...').
 function textsOfScripts() {
   const texts = new Set();
   for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js', 'program_de.js'].includes(file))) {
@@ -42,7 +42,7 @@ step('every text has German words with the same values in them', async () => {
   assert.deepEqual(Object.keys(german).filter((text) => values(text) !== values(german[text])), []);
 });
 
-// What the program says has its words in tables of its own; these are the sentences that it always has.
+// Texts of the program have tables of their own; these are the sentences without variable parts.
 step('checks, flags and what they mean have German words', async () => {
   const program = await germanOf('program_de.js');
   const source = readFileSync(path.join(folder, '../../../../protocol/estimators/checks/check_meanings.cc'), 'utf8');

@@ -10,8 +10,8 @@ const {default: lighthouse} = await import(pathToFileURL(fromRegistry.resolve('l
 
 const tries = 3;
 
-// What Lighthouse says of a view. On a busy machine the browser's trace can lack what the layout shift is computed from: then there
-// is no figure, which is neither good nor bad, and the view is measured again.
+// The result of Lighthouse for a view. On a busy machine the browser's trace may lack the data for the layout shift: Lighthouse
+// then gives no figure, and the view is measured again.
 async function measured(view) {
   for (let attempt = 1; ; ++attempt) {
     const page = await served.newPage();

@@ -1,12 +1,12 @@
-// 3 x 360 angles at 60 times the speed of reality: few nodes in tables, little work in each frame, no long task. Chromium's
-// trace says so, in time of the processor: the tests' machine is busy with more than this page.
+// 3 x 360 angles at 60 times real time: few nodes in tables, little work in each frame, no long task. Measured by Chromium's trace
+// in processor time, as the tests' machine is busy with more than this page.
 import assert from 'node:assert/strict';
 import {begin, BENCH, complainsOfNothing, confirmDialog, measured, served} from './page_test.mjs';
 
 const SECONDS = 5;
 const step = begin({pace: 60, bench: BENCH.replace('steps = 12\nstep_deg = 30.0', 'steps = 360\nstep_deg = 1.0')});
 
-// The last angle that was told is told again as all the others that the plan has.
+// Repeats the last message of an angle as a message of each other angle of the plan.
 step('shows as many angles as the run has at its end', async (page) => {
   await page.page.evaluateOnNewDocument(() => {
     globalThis.WebSocket = class extends WebSocket {
@@ -32,7 +32,7 @@ step('shows as many angles as the run has at its end', async (page) => {
   });
 });
 
-// What the main thread of the page did: [beginning, duration] of its tasks, and the beginnings of its frames, in ms.
+// The work of the page's main thread: [start, duration] of its tasks, and the starts of its frames, in ms.
 async function traced(page) {
   await page.page.tracing.start({categories: ['toplevel', 'devtools.timeline']});
   await page.waitForTimeout(1000 * SECONDS);
@@ -53,7 +53,7 @@ step('works little, and never for long', async (page) => {
   assert.ok(nodes > 400 && nodes <= 2000, `${nodes} nodes in tables`);
   const {tasks, frames} = await traced(page);
   assert.ok(await measured() > before, 'the run goes on');
-  // On a busy machine frames come late and have the messages of several: what counts is the work in the time of one, 1/60 s.
+  // On a busy machine frames are late and handle the messages of several: the work is scaled to the time of one frame, 1/60 s.
   const work = frames.slice(1).map((end, i) => tasks.filter(([at]) => at >= frames[i] && at < end).reduce((sum, [, took]) => sum + took, 0) * Math.min(1, 1000 / 60 / (end - frames[i])));
   work.sort((a, b) => a - b);
   const median = work[Math.floor(work.length / 2)], longest = Math.max(...tasks.map(([, took]) => took));

@@ -1,11 +1,11 @@
-// What takes seconds can be cancelled: the analysis of a run, and its PDF. The request is held up here until that is done.
+// Requests that take seconds can be cancelled: the analysis of a run, and its PDF. The test holds the request up until then.
 import assert from 'node:assert/strict';
 import {abcal, begin, complainsOfNothing, eventually, says, served} from './page_test.mjs';
 
 const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 let failed = 0;
 
-// Requests that end so wait, until they are let through.
+// Holds up requests whose address ends with `end`, until letThrough() is called.
 async function heldUp(page, end) {
   const held = [];
   let holds = true;
@@ -14,7 +14,7 @@ async function heldUp(page, end) {
   page.page.on('request', hold);
   return {held, letThrough: async () => {
     holds = false;
-    for (const request of held) await request.continue().catch(() => {});  // The page has given it up.
+    for (const request of held) await request.continue().catch(() => {});  // The page has cancelled it.
     page.page.off('request', hold);
     await page.page.setRequestInterception(false);
   }};
@@ -29,7 +29,7 @@ step('the analysis of a run is cancelled, and made when it is asked for again', 
   await eventually(() => assert.equal(held.length, 1));
   await page.locator('#run-detail button.cancel').click();
   await says('#run-detail [role=status]', 'Cancelled.');
-  await eventually(() => assert.equal(failed, 1));  // The request is given up, not only no longer looked at.
+  await eventually(() => assert.equal(failed, 1));  // The request itself is cancelled, not only its result ignored.
   await letThrough();
   await served.goTo('runs');
   await page.getByRole('link', {name: 'first.run'}).click();

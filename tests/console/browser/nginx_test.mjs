@@ -42,7 +42,7 @@ function end() {
   rmSync(folder, {recursive: true, force: true});
 }
 
-// As the docs show it, with the ports and files of this test.
+// The configuration of the docs, with the ports and files of this test.
 function configuration(upstream) {
   const shown = readFileSync(docs, 'utf8').match(/```nginx\n([\s\S]*?)```/)[1];
   const here = shown.replace('listen 443 ssl', `listen 127.0.0.1:${port} ssl`).replace('127.0.0.1:8474', `127.0.0.1:${upstream}`)
@@ -78,7 +78,7 @@ before(async () => {
 });
 after(() => { end(); clearTimeout(watchdog); });
 
-// One request; `from` is the end of the connection here, which nginx takes for the client's address.
+// One request; `from` is the local address of the connection, which nginx takes for the client's address.
 function ask(method, target, {headers = {}, body = '', from = '127.0.0.2'} = {}) {
   return new Promise((resolve, reject) => {
     const request = https.request({host: '127.0.0.1', port, localAddress: from, method, path: target, rejectUnauthorized: false, agent: false,
@@ -108,7 +108,7 @@ test('who guesses has to wait, whatever they say of themselves, and others do no
   const guess = (token, more) => ask('POST', '/login', {body: `token=${token}`, from: '127.0.0.3', ...more});
   for (let i = 0; i < 5; ++i)
     assert.equal((await guess('guess', {headers: {'X-Forwarded-For': `192.0.2.${i}`, Forwarded: `for=192.0.2.${i}`}})).status, 401);
-  // The wait is a second, and twice as long after each further guess: a slow machine may need some.
+  // The wait is a second, and twice as long after each further guess: a slow machine may need several guesses.
   let status = 0;
   for (let i = 0; i < 5 && status !== 429; ++i) {
     await guess('guess');
@@ -116,5 +116,5 @@ test('who guesses has to wait, whatever they say of themselves, and others do no
   }
   assert.equal(status, 429);
   assert.equal((await guess(TOKEN, {from: '127.0.0.4'})).status, 303);
-  await eventually(() => assert.match(said, /refused from 127\.0\.0\.3 by 127\.0\.0\.1:\d+: POST \/login/));  // It comes through a pipe.
+  await eventually(() => assert.match(said, /refused from 127\.0\.0\.3 by 127\.0\.0\.1:\d+: POST \/login/));  // The log arrives through a pipe.
 });

@@ -1,5 +1,5 @@
-// What every test of the console's page begins and ends with. Each test program serves a page of its own and fails within
-// 60 s (ABCAL_LONGEST_S, if it is a long one), whatever it waits for; a picture of each view is kept in ABCAL_SCREENSHOTS.
+// The common begin and end of all tests of the console's page. Each test program serves a page of its own and fails within 60 s
+// (ABCAL_LONGEST_S, if it is a long one), whatever it waits for; a picture of each view is kept in ABCAL_SCREENSHOTS.
 import assert from 'node:assert/strict';
 import {mkdirSync} from 'node:fs';
 import path from 'node:path';
@@ -48,7 +48,7 @@ speed_deg_per_s = 60.0
 step_error_deg = 0.006
 `;
 export const ANGLES = 47;  // With eight visits to check poses.
-// The same of so many angles, 119, that at pace 5 or less no test sees its end.
+// The same bench with 119 angles: at pace 5 or less no test sees the end of its run.
 export const ENDLESS = BENCH.replace('steps = 12\nstep_deg = 30.0', 'steps = 36\nstep_deg = 10.0');
 export const served = new ServedPage();
 const {folder} = served;
@@ -57,16 +57,16 @@ let page;
 
 export {eventually};
 export const abcal = (...words) => served.abcal(...words);
-// What a person reads there, now; `says` waits until it is a text or has a pattern.
+// The visible text of an element now; `says` waits until it equals a text or matches a pattern.
 export const text = (selector) => served.text(selector);
 export const says = (selector, words) => page.locator(selector).says(words);
 export const measured = () => served.measured();
 export const stateIs = (pattern) => served.stateIs(pattern);
 export const confirmDialog = () => page.locator('#confirm-yes').click();
 
-// Opens the page of a console that serves the bench; `prepare` is done before, e.g. runs are made, and `enter` until the page
-// of the bench is there. Says at the end of the
-// test program which step it was in, if that took too long.
+// Opens the page of a console that serves the bench. `prepare` runs before, e.g. to make runs; `enter` leads to the page of the
+// bench.
+// If the test program takes too long, it ends with the name of the step.
 export function begin({pace = null, bench = BENCH, prepare = () => {}, serve = [], enter = () => served.entered()}) {
   let step = 'opening the page';
   const watchdog = setTimeout(() => {
@@ -99,8 +99,8 @@ export function complainsOfNothing() {
   assert.deepEqual(served.problems, []);
 }
 
-// What axe finds wrong for people who see, hear or move differently: names, order, contrast (WCAG 2.2 A and AA, good practice).
-// Or what one of its rules finds.
+// The violations that axe finds: names, order, contrast and others (WCAG 2.2 A and AA, good practice).
+// Or only those of the given rules.
 export async function barriers(where = page, rules = null) {
   if (!(await where.evaluate(() => 'axe' in globalThis))) await where.evaluate(`${fromRegistry('axe-core').source}; 0`);
   const {violations, passes} = await where.evaluate((only) => axe.run({
@@ -134,7 +134,7 @@ export async function inGerman() {
 // Why a person would not see where the focus is; null if all is well.
 export const unseen = (where) => where.evaluate(() => {
   const element = document.activeElement, name = element?.outerHTML.slice(0, 100);
-  if (!document.hasFocus() || !element || element === document.body) return 'nothing has the focus';  // Or the browser's own controls.
+  if (!document.hasFocus() || !element || element === document.body) return 'nothing has the focus';  // Or one of the browser's own controls.
   if (element.matches(':disabled')) return `it cannot be used: ${name}`;
   const {outlineStyle, outlineWidth} = getComputedStyle(element);
   if (outlineStyle === 'none' || parseFloat(outlineWidth) < 2) return `no outline: ${name}`;
@@ -146,11 +146,11 @@ export const unseen = (where) => where.evaluate(() => {
   return element.contains(hit) || hit?.contains(element) ? null : `under ${hit?.outerHTML.slice(0, 60)}: ${name}`;
 });
 
-// Words that run over what stands beside them: a name of a list of facts is wider than its place.
+// Names in a list of facts that are wider than their place, and overlap the text next to them.
 export const runOver = () => page.evaluate(() => [...document.querySelectorAll('dt')]
   .filter((name) => name.checkVisibility() && name.scrollWidth > name.clientWidth + 1).map((name) => name.textContent));
 
-// What sticks out to the side, or is cut off, where nobody can scroll to it.
+// Texts that extend beyond the side or are cut off, and cannot be scrolled to.
 async function lost() {
   return page.evaluate(() => {
     const found = [];
@@ -175,7 +175,7 @@ async function lost() {
   });
 }
 
-// Columns of numbers that do not say their unit: in their heading, in a column "Unit", or because they count.
+// Columns of numbers without a unit: neither in the heading nor in a column "Unit", and not a count.
 async function unitless() {
   return page.evaluate(() => {
     const counts = ['Experiment', 'n', 'Angles', 'Winkel'];
@@ -192,22 +192,22 @@ async function unitless() {
   });
 }
 
-// The page has the size, its plots have the size of their place, and the colours are those that were asked for.
+// Waits until the page has the size, its plots fill their places, and the colour scheme is the requested one.
 const settled = (viewport, colorScheme) => page.waitForFunction(([{width, height}, scheme]) => {
   const fits = (canvas) => Math.abs((Chart.getChart(canvas)?.width ?? canvas.parentElement.clientWidth) - canvas.parentElement.clientWidth) <= 1;
   return innerWidth === width && innerHeight === height && matchMedia(`(prefers-color-scheme: ${scheme})`).matches
     && [...document.querySelectorAll('canvas')].every((canvas) => !canvas.checkVisibility() || fits(canvas));
 }, [viewport, colorScheme]);
 
-// The lines of plots whose markers have another colour: that of the scheme before. (The page that asks who it is has no plots.)
+// Lines of plots whose markers still have the colour of the previous scheme. (The login page has no plots.)
 const strangeMarkers = () => page.evaluate(() => Object.values(globalThis.Chart?.instances ?? {}).flatMap((chart) => chart.data.datasets
   .filter((set, i) => {
     const marker = chart.getDatasetMeta(i).data[0]?.options;
     return marker && typeof set.pointBackgroundColor === 'string' && marker.backgroundColor !== set.pointBackgroundColor;
   }).map((set) => `${chart.canvas.id}: ${set.label}`)));
 
-// At each size, light and dark: nothing sticks out, is cut off or moves by itself, axe finds nothing, and a picture is kept. Axe
-// takes most of the time: it looks where the arrangement differs, and for colours alone where only they do.
+// At each size, light and dark: nothing overflows, is cut off or moves by itself, axe finds nothing, and a picture is kept. Axe
+// takes most of the time: it runs where the layout differs, and for colours only where only these differ.
 export async function look(name) {
   for (const [size, viewport] of Object.entries(SIZES)) {
     await page.setViewportSize(viewport);

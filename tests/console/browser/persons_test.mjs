@@ -1,4 +1,4 @@
-// Who it is: persons of the register log in on the page; a token enters by "#", over TLS.
+// Logins: persons of the register log in on the page; a token is given after "#", over TLS.
 import assert from 'node:assert/strict';
 import {begin, confirmDialog, ENDLESS, look, says, served, stateIs} from './page_test.mjs';
 import {logIn, makeRegister} from './training_register.mjs';
@@ -42,7 +42,7 @@ step('who logs out is asked again', async () => {
   await watcher.getByRole('button', {name: 'Log out'}).click();
   await watcher.locator('#password').waitFor();
   assert.equal(await cookieOf(watcher), undefined);
-  await says('#person-name', 'Operator N. N.');  // Others stay.
+  await says('#person-name', 'Operator N. N.');  // Other persons stay logged in.
 });
 
 step('a token enters by "#", is never a part of an address that is sent, and its cookie stays with TLS', async () => {

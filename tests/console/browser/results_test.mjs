@@ -1,4 +1,4 @@
-// What the page shows of a run is what abcal prints.
+// The page of a run shows the numbers that abcal prints.
 import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import {abcal, begin, complainsOfNothing, look, says, served} from './page_test.mjs';

@@ -43,7 +43,7 @@ await served.press('#do-check');
 await page.locator('#checks table').waitFor();
 await keep('checked', {whole: true});
 await served.press('#do-start');
-await served.pressAt(100, 'do-hold');  // Long before its end: a busy machine is late.
+await served.pressAt(100, 'do-hold');  // Long before the end of the run, as a busy machine is late.
 await served.stateIs(/^Held/);
 await page.locator('#note').fill('Door opened for a moment');
 await page.locator('#note').press('Enter');

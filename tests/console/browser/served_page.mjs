@@ -1,9 +1,9 @@
 // The console of a simulated bench and the page in Debian's Chromium or Firefox, for tests and for pictures. Set by CMake:
 //   ABCAL_PROGRAM         the program abcal
 //   ABCAL_NODE_MODULES    where puppeteer-core is installed
-//   ABCAL_BROWSER         chromium (without it) or firefox
-// By hand, to find what a test does not wait for:
-//   ABCAL_THROTTLE        e.g. 6: the page works so many times slower, and is told late
+//   ABCAL_BROWSER         chromium (default) or firefox
+// Set by hand, to find missing waits of a test:
+//   ABCAL_THROTTLE        e.g. 6: the page works 6 times slower, and its messages are late
 import {execFileSync, spawn} from 'node:child_process';
 import {existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
@@ -20,7 +20,7 @@ const OPTIONS = {
   // Nothing is fetched from elsewhere.
   firefox: {browser: 'firefox'},
 }[browserName];
-// Of Firefox, with a folder for downloads; it fetches nothing of its own.
+// Preferences of Firefox: a folder for downloads, and no requests of its own.
 const preferences = (downloads) => ({'intl.accept_languages': 'en-GB, en', 'network.captive-portal-service.enabled': false,
   'network.connectivity-service.enabled': false, 'browser.download.folderList': 2, 'browser.download.dir': downloads,
   'browser.download.useDownloadDir': true, 'browser.download.alwaysOpenPanel': false});
@@ -32,7 +32,7 @@ export const fromRegistry = createRequire(path.join(modules || '.', 'x.js'));
 export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}, zoomed: {width: 683, height: 384}, narrow: {width: 320, height: 568}};
 export {PATIENCE};
 
-// What no page can be shown without, in words; null if all is there.
+// The first missing requirement for showing a page, in words; null if all are met.
 export function missing() {
   if (!modules || !existsSync(path.join(modules, 'puppeteer-core'))) return 'puppeteer-core is not installed (scripts/setup --tests does that)';
   return existsSync(PROGRAM) ? null : `there is no ${PROGRAM} (scripts/setup --tests installs it)`;
@@ -45,13 +45,13 @@ export class ServedPage {
     this.problems = [];
   }
 
-  // Of a bench file with this text, `abcal serve` with these further words; opens the page.
+  // Serves a bench file with this text by `abcal serve` with further words, and opens the page.
   async open(bench, ...words) {
     await this.goToConsole(bench, ...words);
     return this.entered();
   }
 
-  // The same, whatever page comes first.
+  // The same, but stops at the first page, e.g. the login page.
   async goToConsole(bench, ...words) {
     this.describe(bench);
     this.address = await this.serve(...words);
@@ -72,7 +72,7 @@ export class ServedPage {
   // The console reads the bench file again for each run.
   describe(bench) { writeFileSync(path.join(this.folder, 'bench.toml'), bench); }
 
-  // Again on the same port, e.g. after it was killed.
+  // Serves again on the same port, e.g. after the console was killed.
   serveAgain(...words) { return this.serve('--port', new URL(this.address).port, ...words); }
 
   // The process that holds the bench, which the console has started.
@@ -112,7 +112,7 @@ export class ServedPage {
     return execFileSync(process.env.ABCAL_PROGRAM, words, {cwd: this.folder, encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'], timeout: PATIENCE});
   }
 
-  // Does what downloads a file; gives its path when it is there as a whole.
+  // Calls `does`, which downloads a file; returns the path of the complete file.
   async download(does) {
     const before = new Set(readdirSync(this.downloads));
     await does();
@@ -123,7 +123,7 @@ export class ServedPage {
     throw new Error('no file was downloaded');
   }
 
-  // The words of the page as it is printed.
+  // The text of the printed page.
   async print() {
     const file = path.join(this.folder, 'printed.pdf');
     await this.page.page.pdf({path: file, format: 'A4', preferCSSPageSize: true, printBackground: true});
@@ -132,7 +132,7 @@ export class ServedPage {
 
   text(selector) { return this.page.locator(selector).innerText(); }
   async measured() { return Number((await this.text('#measured')).split(' ')[0]); }
-  // All texts that an element has had from now on; gives what reads them.
+  // Records all texts of an element from now on; returns a function that reads them.
   async recorded(id) {
     await this.page.evaluate((name) => {
       const element = document.getElementById(name), texts = [];
@@ -144,7 +144,7 @@ export class ServedPage {
   measuredAtLeast(n, page = this.page) {
     return page.waitForFunction((least) => Number(document.getElementById('measured').textContent.split(' ')[0]) >= least, n, {timeout: PATIENCE});
   }
-  // Presses a button when so many angles are measured; in the page, for a busy machine may be slow to ask it from here.
+  // Presses a button when `n` angles are measured. Runs in the page, as polling from here may be slow on a busy machine.
   pressAt(n, button) {
     return this.page.evaluate(([least, id]) => {
       const measured = document.getElementById('measured'), pressed = document.getElementById(id);
@@ -159,14 +159,14 @@ export class ServedPage {
     return this.page.waitForFunction((source) => new RegExp(source).test(document.getElementById('state').textContent), pattern.source, {timeout: PATIENCE});
   }
 
-  // Presses a button that asks first, and says yes.
+  // Presses a button that opens a confirmation, and confirms.
   async press(button) {
     await this.page.locator(`${button}:enabled`).click();
     await this.page.locator('#confirm-yes').click();
   }
   goTo(view) { return this.page.locator(`nav a[href="#${view}"]`).click(); }
 
-  // Emulated instruments on pseudo-terminals in the folder `links`, in real time. Gives what sends a request to the emulator.
+  // Emulates instruments on pseudo-terminals in the folder `links`, in real time. Returns a function that sends a request to them.
   async emulate(names = ['stage', 'accelerometer']) {
     this.emulator = spawn(process.env.ABCAL_PROGRAM, ['emulate', 'bench.toml', '--link-dir', 'links', '--control', '0'], {cwd: this.folder, stdio: ['ignore', 'pipe', 'ignore']});
     let said = '';
@@ -183,7 +183,7 @@ export class ServedPage {
     });
   }
 
-  // At once, for a test that takes too long; the browser ends with this process.
+  // Ends everything at once, for a test that takes too long; the browser ends with this process.
   kill() {
     this.server?.kill('SIGKILL');
     this.emulator?.kill('SIGKILL');

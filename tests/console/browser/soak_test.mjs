@@ -1,5 +1,5 @@
-// Pages that connect again ten times as often as people do, while runs follow each other: memory stays what it was, of the
-// console, of the process that holds the bench, and of a page that is never closed. ABCAL_SOAK_MINUTES: 3 without it.
+// Pages that connect again ten times as often as people do, during one run after another: the memory of the console, of the
+// process that holds the bench and of a page that is never closed stays constant. ABCAL_SOAK_MINUTES: default 3.
 import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import {begin, confirmDialog, served} from './page_test.mjs';
@@ -15,7 +15,7 @@ const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.l
 
 const step = begin({pace: 100});
 
-// Connects, takes the whole state, and goes.
+// Connects, takes the whole state, and disconnects.
 async function another(number) {
   const {port} = new URL(served.address), origin = `http://127.0.0.1:${port}`;
   await new Promise((resolve) => {
@@ -62,7 +62,7 @@ step(`memory is flat over ${MINUTES} min`, async (page) => {
   on = false;
   await Promise.all([...others, reloading]);
   console.log(`${MINUTES} min: ${connections} connections, ${reloads} loads of a page, ${runs} runs`);
-  // What is needed once, e.g. for the first run, is there after a third.
+  // Memory that is allocated once, e.g. for the first run, is allocated after a third of the time.
   const third = Math.floor(seen.length / 3);
   for (const what of ['console', 'bench', 'page']) {
     const values = seen.map((each) => each[what]), middle = median(values.slice(third, 2 * third)), last = median(values.slice(2 * third));

@@ -1,4 +1,4 @@
-// The start form: a scanner, the register's items, two pages, and texts that are no texts.
+// The start form: a scanner, the register's items, one run for two presses, and two pages.
 import assert from 'node:assert/strict';
 import {begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, look, says, served, stateIs, text} from './page_test.mjs';
 import {logIn, makeRegister} from './training_register.mjs';
@@ -14,7 +14,7 @@ const valueIs = (page, id, expected) => eventually(async () => assert.equal(awai
 step('shows before the start what will be done, and what to look at', async (page) => {
   await logIn(page, 'Operator N. N.');
   await served.entered();
-  served.problems.length = 0;  // Of the page that asks who it is.
+  served.problems.length = 0;  // Drops those of the login page.
   await page.locator('#take-control').click();
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
@@ -61,7 +61,7 @@ step('a form that another page has overtaken starts nothing', async (page) => {
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
   await says('#start-notices', /was interrupted/);
-  const other = await served.newPage();  // Of the same person.
+  const other = await served.newPage();  // A page of the same person.
   await other.goto(served.address);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();

@@ -97,7 +97,7 @@ step('shows a part of a plot, by keyboard and pointer, and no label is over anot
 });
 
 step('holds after an angle, and keeps a note', async (page) => {
-  await says('#left', /^(\d+ min )?\d+ s \(held\)$/);  // Told each second.
+  await says('#left', /^(\d+ min )?\d+ s \(held\)$/);  // Updated each second.
   const kept = await measured();
   await page.locator('#note').fill('<b>door opened</b>');
   await page.locator('#note').press('Enter');

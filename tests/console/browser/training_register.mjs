@@ -4,7 +4,7 @@ import path from 'node:path';
 
 export const PASSWORD = 'correct horse 7';
 
-// An administrator who approves, an operator and a watcher. Returns what runs `abcal lab` with further words.
+// An administrator who approves, an operator and a watcher. Returns a function that runs `abcal lab` with further words.
 export function makeRegister(served) {
   const {folder} = served;
   process.env.XDG_STATE_HOME = path.join(folder, 'state');

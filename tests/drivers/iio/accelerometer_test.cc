@@ -186,7 +186,7 @@ TEST(IioEndlessBytesTest, OfALineWithoutEndNoMoreIsReadThanIsKept) {
   EXPECT_LE(stream.given(), 65536U + 4096U);
 }
 
-/// A port whose instrument turns into one that babbles.
+/// A port whose instrument starts to send without end.
 class TurningStream final : public wire::ByteStream {
  public:
   TurningStream(std::shared_ptr<sim::Firmware> firmware, Clock& clock)

@@ -100,7 +100,7 @@ TEST_F(SplitStageTest, AControllerThatIsSlowToStopDoesNotKeepTheOtherMoving) {
     std::promise<void> may_end;
     (slow_x ? x_ : z_).wait_for = may_end.get_future().share();
     auto halting = std::async(std::launch::async, [&] { return stage_.halt(); });
-    // Ends only if the other one is told while the slow one is still at it.
+    // Ends only if the other stage is halted while the slow one still halts.
     while (!(slow_x ? z_ : x_).halted) std::this_thread::yield();
     may_end.set_value();
     EXPECT_TRUE(halting.get());

@@ -19,7 +19,7 @@ using namespace std::chrono_literals;
 using test::error_of;
 using ::testing::HasSubstr;
 
-/// Lets through what `passes` says.
+/// Passes on only the frames that `passes` selects.
 class Filter final : public wire::ByteStream {
  public:
   Filter(std::unique_ptr<wire::ByteStream> inner, std::function<bool(const mavlink::Frame&)>& passes)

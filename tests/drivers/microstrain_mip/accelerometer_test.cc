@@ -801,7 +801,7 @@ TEST(MipAccelerometerTest, GivesOfADamagedStreamOnlyTrueReadingsAndCountsTheOthe
       if (acceleration && time) expected.emplace_back(reference::number(*time), *acceleration);
     }
     const Replayed replayed = replay(bytes, random, 700);
-    // The last packets may wait behind a false sync; the driver may find those, the reference does not look.
+    // The last packets may wait behind a false sync; the driver may find them, the reference does not.
     ASSERT_GE(replayed.readings.size(), expected.size());
     ASSERT_LE(replayed.readings.size(), expected.size() + 3);
     for (std::size_t i = 0; i < expected.size(); ++i) {

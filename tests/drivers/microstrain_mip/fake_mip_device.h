@@ -15,7 +15,7 @@
 
 namespace abcal::test {
 
-/// A clock that goes on only when someone waits.
+/// A clock that advances only when a caller waits.
 class WaitingClock final : public Clock {
  public:
   Instant now() const override { return now_; }
@@ -28,7 +28,7 @@ class WaitingClock final : public Clock {
   Instant now_{std::chrono::hours(1)};
 };
 
-/// A port with a scripted MIP device behind it: what it will send lies in a schedule; commands add to it.
+/// A port with a scripted MIP device. Its future bytes are in a schedule, to which commands add.
 class FakeMipDevice final : public wire::ByteStream {
  public:
   struct Script {

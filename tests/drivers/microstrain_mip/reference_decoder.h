@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-/// MIP decoded the slow way, from docs/protocols/mip.md and without a line of the driver's codec: looks at
-/// every byte of a whole recording whether a packet begins there.
+/// MIP decoded the slow way, from docs/protocols/mip.md and without a line of the driver's codec: tests at
+/// every byte of a whole recording whether a packet begins.
 namespace abcal::test::mip_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {

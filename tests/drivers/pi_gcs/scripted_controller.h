@@ -53,7 +53,7 @@ class ScriptedController final : public wire::ByteStream {
       replies;                          ///< Queries that are not here are unknown: silence and error 2.
   std::map<std::string, int> refusals;  ///< Error codes of set commands (and queries); others succeed.
   bool byte_by_byte = false;
-  bool silent = false;  ///< To everything.
+  bool silent = false;  ///< No reply to any command.
   bool unplugged = false;
   std::string stop_acknowledged_by = "error";  ///< "error", "mask" or "nothing".
 
@@ -129,7 +129,7 @@ class ScriptedController final : public wire::ByteStream {
 
   std::string name() const override { return "scripted"; }
 
-  /// Bytes that come by themselves.
+  /// Sends bytes without a request.
   void say(std::string_view bytes, Clock::Duration in) {
     const std::lock_guard lock(mutex_);
     put(bytes, clock_.now() + in);
@@ -141,7 +141,7 @@ class ScriptedController final : public wire::ByteStream {
     std::string bytes;
   };
 
-  /// In the order in which the controller answers: nothing overtakes.
+  /// Queues bytes behind all earlier ones, as the controller answers in order.
   void put(std::string_view bytes, Clock::Instant at) {
     if (!coming_.empty()) at = std::max(at, coming_.back().at);
     if (!byte_by_byte) {

@@ -85,7 +85,7 @@ struct Bench : test::AccelerometerBench<ScpiScanningVoltmeter, ScriptedLine> {
     EXPECT_LE(clock.now(), deadline);
     return reading;
   }
-  /// The number of the READ? whose reply the next reading is, told by its value.
+  /// The number of the READ? whose reply the next reading is, encoded in its value.
   int next_scan(Clock::Duration patience = 60s) {
     const auto reading = next(patience);
     return reading ? static_cast<int>(std::lround(reading->output(0) - 0.1)) : -1;
@@ -106,7 +106,7 @@ FakeMeter keithley(const std::string& model) {
   return fake;
 }
 
-// ---- Who it is
+// ---- Identification
 
 TEST(ScpiScanningVoltmeterTest, IdentifiesTheModelAndChangesNothing) {
   AccelerometerSettings settings = settings_at(kRateHz);
@@ -155,7 +155,7 @@ TEST(ScpiScanningVoltmeterTest, SaysWhatIsWrongWithTheSettingsAllAtOnce) {
   }
 }
 
-// ---- Setting it
+// ---- Settings
 
 TEST(ScpiScanningVoltmeterTest, SetsAKeysightScanner) {
   AccelerometerSettings settings = settings_at(kRateHz);
@@ -254,7 +254,7 @@ TEST(ScpiScanningVoltmeterTest, RefusesAVoltmeterThatScansOtherChannels) {
   fake.scan_list = "#214(@101,102,104)";
   EXPECT_THAT(error_of([&] { Bench(fake).accelerometer->start(); }, Fault::kImplausible),
               AllOf(HasSubstr("(@101,102,104)"), HasSubstr("required: (@101,102,103)")));
-  fake = keithley("2700");  // Has no answer to that; its replies tell.
+  fake = keithley("2700");  // It has no answer to the query; its replies show the channels.
   fake.readings = [](int) { return "+1.0E+00,101,+2.0E+00,102,+3.0E+00,104"; };
   EXPECT_THAT(error_of([&] { Bench(fake).accelerometer->start(); }, Fault::kBadFrame),
               HasSubstr("no channel 103; required: (@101,102,103)"));
@@ -473,7 +473,7 @@ TEST(ScpiScanningVoltmeterTest, StopsAndGoesLocal) {
   EXPECT_EQ(bench.next_scan(), 3);
 }
 
-/// Bytes that never cease to come.
+/// An endless stream of bytes.
 class Babble final : public wire::ByteStream {
  public:
   Babble(test::FakeClock& clock, std::string bytes) : clock_(clock), bytes_(std::move(bytes)) {}
@@ -533,7 +533,7 @@ struct SinglesBench {
     accelerometer = std::make_unique<ScpiSingleVoltmeters>(std::move(streams), clock, settings);
   }
 
-  /// Each tells by its value which unit it is and which READ? it answers: scan + unit / 10.
+  /// Each value encodes the unit and the number of the READ? that it answers: scan + unit / 10.
   static std::array<FakeMeter, 3> singles() {
     std::array<FakeMeter, 3> fakes;
     for (int unit = 0; unit < 3; ++unit) {

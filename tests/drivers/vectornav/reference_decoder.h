@@ -10,7 +10,7 @@
 #include <vector>
 
 /// VectorNav messages decoded the slow way, from docs/protocols/vectornav.md and without a line of the
-/// driver's codec: looks at every byte of a whole recording whether a message begins there.
+/// driver's codec: tests at every byte of a whole recording whether a message begins.
 namespace abcal::test::vectornav_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {

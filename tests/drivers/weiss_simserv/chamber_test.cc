@@ -128,8 +128,8 @@ TEST_P(WeissChamberTest, FaultsOfTheWireAtEveryWrite) {
         series(rig);
         EXPECT_FALSE(kind == sim::FaultKind::kUnplug && rig.link->writes() >= write) << write;
       } catch (const InstrumentError& error) {
-        // Neither language has a checksum: a digit that is changed or lost passes, or is told as something
-        // else.
+        // Neither language has a checksum: a digit that is changed or lost passes, or is reported as another
+        // fault.
         const bool damaged = kind == sim::FaultKind::kFlippedBits || kind == sim::FaultKind::kDroppedBytes ||
                              kind == sim::FaultKind::kReplacedReply;
         const bool told = error.fault() == Fault::kNoReply || error.fault() == Fault::kBadFrame ||

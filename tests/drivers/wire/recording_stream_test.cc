@@ -18,7 +18,7 @@ using namespace std::chrono_literals;
 using testing::ElementsAre;
 using Kind = WireEvent::Kind;
 
-/// Answers each read with what it was told to; a link that can break.
+/// Answers each read with given bytes; its link can break.
 class TalkingStream final : public ByteStream {
  public:
   void write(std::string_view bytes) override {
@@ -98,7 +98,7 @@ TEST_F(RecordingStreamTest, WhatIsDiscardedIsToldOnce) {
   inner_.after_next = " bytes";
   stream_.discard_input();
   EXPECT_EQ(inner_.next, "");
-  stream_.discard_input();  // Nothing there, nothing to tell.
+  stream_.discard_input();  // No input, no event.
   EXPECT_THAT(told(), ElementsAre(WireEvent{Kind::kDiscarded, start_, {}, "stale bytes"}));
 }
 

@@ -58,7 +58,7 @@ TEST_F(ReplayStreamTest, NothingComesBeforeTheWriteThatPrecedesIt) {
   EXPECT_EQ(stream.read_until(at(5s)).bytes, "");
   EXPECT_EQ(clock_.now(), at(5s));
   stream.write("POS?\n");
-  EXPECT_EQ(clock_.now(), at(5s));  // Never back.
+  EXPECT_EQ(clock_.now(), at(5s));  // The clock never goes back.
   EXPECT_EQ(stream.read_until(at(5s)).bytes, "1=5\n");
 }
 
@@ -83,7 +83,7 @@ TEST_F(ReplayStreamTest, AWriteThatIsNotTheRecordedOneIsRefusedWithBoth) {
   EXPECT_THAT(error.detail(), AllOf(HasSubstr("leaves the recording"), HasSubstr(R"("MOV 1 \x18\n")"),
                                     HasSubstr(R"("MOV 1 30\n")"), HasSubstr("t = 2.000000 s")));
   EXPECT_EQ(clock_.now(), at(1s));
-  stream.write("MOV 1 30\n");  // It is still the next.
+  stream.write("MOV 1 30\n");  // It is still the next command.
 }
 
 TEST_F(ReplayStreamTest, FailuresComeAgainFromTheCallThatFailed) {
@@ -145,7 +145,7 @@ TEST_F(ReplayStreamTest, DroppedBytesGrowWhereTheyDid) {
   EXPECT_EQ(stream.read_until(at(4s)).bytes, "b");
 }
 
-/// The recording of a replay is the recording, but for times that lie between two calls.
+/// The recording of a replay equals the original, except for times between two calls.
 TEST_F(ReplayStreamTest, ARecordedReplayIsTheRecording) {
   const std::vector<WireEvent> events{{Kind::kOpened, at(1s), {}, "/dev/ttyUSB0"},
                                       written(1s, "go"),

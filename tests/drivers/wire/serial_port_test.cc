@@ -75,7 +75,7 @@ TEST_F(SerialPortTest, BytesGoThereAndBackUnchanged) {
   EXPECT_EQ(port.name(), terminal_.path());
 }
 
-/// Holds any thread but the one that made it, from the moment it is told to.
+/// Can hold any thread but the one that made it.
 class HoldingClock final : public Clock {
  public:
   Instant now() const override {

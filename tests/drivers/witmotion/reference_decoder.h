@@ -7,7 +7,7 @@
 #include <vector>
 
 /// WitMotion frames decoded the slow way, from docs/protocols/witmotion.md and without a line of the driver's
-/// codec: looks at every byte of a whole recording whether a frame begins there.
+/// codec: tests at every byte of a whole recording whether a frame begins.
 namespace abcal::test::witmotion_reference {
 
 inline int byte_at(std::string_view bytes, std::size_t index) {

@@ -395,7 +395,7 @@ TEST(XsensMtiAccelerometerTest, CountsNoErrorWhileAnEarlierTryIsOutstanding) {
 }
 
 TEST(XsensMtiAccelerometerTest, AsksAgainToSeeWhoseAnErrorIs) {
-  // The first try is lost, the second refused: only a third, with nothing else outstanding, tells.
+  // The first try is lost, the second refused: only a third, with nothing else outstanding, is conclusive.
   Script script;
   int asked = 0;
   script.on_command = [&asked](ScriptedPort& port, unsigned id, const std::string&) {

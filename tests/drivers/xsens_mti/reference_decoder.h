@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-/// Xbus decoded the slow way, from docs/protocols/xbus.md and without a line of the driver's codec: looks at
-/// every byte of a whole recording whether a message begins there.
+/// Xbus decoded the slow way, from docs/protocols/xbus.md and without a line of the driver's codec: tests at
+/// every byte of a whole recording whether a message begins.
 namespace abcal::test::xbus_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {
@@ -89,7 +89,7 @@ inline Decoded decode(std::string_view bytes) {
   return decoded;
 }
 
-/// One real number in the format that the lowest two bits of an id tell.
+/// One real number in the format given by the lowest two bits of an id.
 inline double real(unsigned id, std::string_view bytes) {
   switch (id % 4) {
     case 0:

@@ -1,4 +1,4 @@
-// A program of somebody else: the estimators as a library, found with find_package(abcal).
+// A third-party program: the estimators as a library, found with find_package(abcal).
 
 #include <protocol/estimators/circle/analyse.h>
 #include <protocol/estimators/joint/analyse_joint.h>

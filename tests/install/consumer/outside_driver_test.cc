@@ -1,4 +1,4 @@
-// A stage of somebody else, without bytes, under the installed contract.
+// A third-party stage, without bytes, under the installed contract.
 
 #include <array>
 #include <cmath>

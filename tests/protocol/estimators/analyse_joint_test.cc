@@ -328,7 +328,7 @@ TEST(JointFitTest, OneMapPerAxisUsesTheStepErrorsOfBothExperiments) {
   const CalibrationResult separate = analyse_joint(record);
   ASSERT_EQ(shared.verdict, Verdict::kUsable) << shared.why;
   EXPECT_EQ(shared.joint->step_error[0][10].value, shared.joint->step_error[1][10].value);
-  // Two circles with one map tell more of the accelerometer than two circles with two.
+  // Two circles with one map determine the accelerometer better than two circles with two.
   EXPECT_LT(shared.intrinsic_angle[1].standard_uncertainty, separate.intrinsic_angle[1].standard_uncertainty);
   EXPECT_LT(std::abs(deviation(shared.joint->step_error[0][10], acs.step_errors[0][10].deg())), 4.5);
   // With maps that are not shared the option contradicts the readings, and chi2 says so.
@@ -348,7 +348,7 @@ TEST(JointFitTest, MeasuredAlignmentServesAsData) {
   options.measured_alignment.zy = MeasuredValue{acs.alignment.zy, 5e-6};
   const CalibrationResult with = analyse_joint(record, options);
   const CalibrationResult without = analyse_joint(record);
-  // The orientation about X is what the run alone does not hold.
+  // The run alone does not determine the orientation about X.
   EXPECT_GT((*without.sensitivity_matrix)[1][2].standard_uncertainty, 7e-5);
   EXPECT_LT((*with.sensitivity_matrix)[1][2].standard_uncertainty, 1e-5);
   EXPECT_LT(std::abs(deviation((*with.sensitivity_matrix)[1][2], aut.sensitivity_matrix(1, 2))), 4.5);

@@ -447,7 +447,7 @@ TEST_F(RunFile3Test, ACompleteRunCanBeAnalysedBeforeItIsClosed) {
   EXPECT_FALSE(RunFile::is_closed(path));
   EXPECT_EQ(file.close()->size(), 64U);
   EXPECT_TRUE(RunFile::is_closed(path));
-  // A copy that may be written is as closed, and closing it changes no byte.
+  // A writable copy counts as closed as well, and closing it changes no byte.
   using std::filesystem::perms;
   std::filesystem::copy_file(path, folder / "copy.run");
   std::filesystem::permissions(folder / "copy.run", perms::owner_read | perms::owner_write);

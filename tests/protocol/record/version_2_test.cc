@@ -1,4 +1,4 @@
-// Run files of version 2 are read for ever: tests/data/version_2 has what abcal 0.1 wrote.
+// Run files of version 2 stay readable: tests/data/version_2 has files of abcal 0.1.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -21,7 +21,7 @@ class DwellMeasurementTest : public test::RunPartsTest {
     angle.alpha = angle.x = Angle::degrees(30);
   }
 
-  /// @param usual_spread  Of the dwells before; 0: none.
+  /// @param usual_spread  spread of the dwells before; 0: none
   ItemDwell measure(double usual_spread = 0.0, std::optional<double> first_temperature_degc = {}) {
     Motion motion(context(), stage);
     std::map<int, double> first_temperatures;
@@ -55,7 +55,7 @@ TEST_F(DwellMeasurementTest, GivesTheDwellWithItsReadings) {
 }
 
 TEST_F(DwellMeasurementTest, ASingleShakeIsMeasuredAgain) {
-  // The dwell is shaken once, after the look for quiet.
+  // The dwell is shaken once, after the check for quiet.
   accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
     return noisy(k) + (k > 30 && k < 45 ? 0.01 * static_cast<double>(k % 3) : 0.0) * Eigen::Vector3d::UnitX();
   };
@@ -68,7 +68,7 @@ TEST_F(DwellMeasurementTest, ASingleShakeIsMeasuredAgain) {
 
 TEST_F(DwellMeasurementTest, WhatDoesNotPassIsFlaggedAfterTheLastRepeat) {
   settings.limits.repeats = 2;
-  const ItemDwell measured = measure(1e-6);  // All spread is much more than usual.
+  const ItemDwell measured = measure(1e-6);  // Every spread is far above the usual one.
   EXPECT_EQ(measured.dwell.flags, kFlagNotQuiet | kFlagRepeated);
   EXPECT_EQ(observer.notices.size(), 2U);
 }

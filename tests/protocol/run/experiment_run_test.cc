@@ -36,7 +36,7 @@ class SilentObserver : public RunObserver {
   std::function<void()> after_dwell;
 };
 
-/// Counts what the run asks of the stage on its way out.
+/// Records the moves and counts the halts of the stage.
 class WatchedStage final : public RotationStage {
  public:
   explicit WatchedStage(std::unique_ptr<RotationStage> inner) : inner_(std::move(inner)) {}
@@ -188,7 +188,7 @@ TEST_F(ExperimentRunTest, LeavesOutTheAnglesThatAreMeasuredAlready) {
   EXPECT_EQ(observer.measured.size(), 3U);
 }
 
-/// The first angles measured; then what a second program would know of them.
+/// A run of which the first angles are measured, resumed with the data that a second program would have.
 class ResumedRunTest : public ExperimentRunTest {
  protected:
   RunProgress interrupted_after(std::size_t dwells) {

@@ -36,7 +36,7 @@ class RecoveryTest : public test::RunPartsTest {
     return home_again;
   }
   ScriptedReconnector reconnector;
-  std::string plugged_in;  ///< Serial number of what comes in place of the accelerometer; empty: itself.
+  std::string plugged_in;  ///< Serial number of the replacement accelerometer; empty: the same one.
   InstrumentError lost{"accelerometer", Fault::kLinkLost, "end of file"};
 };
 

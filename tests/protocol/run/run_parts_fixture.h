@@ -20,7 +20,7 @@
 
 namespace abcal::test {
 
-/// Keeps what a part of a run tells.
+/// Keeps the reports of a part of a run.
 class KeepingObserver final : public RunObserver {
  public:
   void phase(std::size_t position, RunPhase phase) override { phases.emplace_back(position, phase); }
@@ -37,7 +37,7 @@ class ScriptedStage final : public RotationStage {
  public:
   struct Axis {
     Angle encoder;
-    Angle error;               ///< Where it stops, from the target.
+    Angle error;               ///< Stop position minus target.
     int polls_until_stop = 1;  ///< After a command.
     bool finds_reference = true;
     int polls_left = 0;

@@ -17,12 +17,12 @@ import {showChart, showCompare, showRun, showRuns, statesMayHaveChanged} from '/
 translate();
 const live = new LiveView();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
-let hadControl = false, answered = false;  // answered: what stands in #reply is over with the connection.
+let hadControl = false, answered = false;  // answered: the text in #reply expires with the connection.
 const USE_THE_SWITCH = t('use the switch on the stage');
 
-let dayViews = [];  // Of a day's work, each with receive(message) and offer(may, idle).
+let dayViews = [];  // The views of a day's work, each with receive(message) and offer(may, idle).
 
-// What comes many times a second changes the banner once for all of it.
+// Types of messages that arrive many times a second: the banner changes once for all messages of 50 ms.
 const OFTEN = new Set(['dwell_done', 'log', 'phase', 'stage', 'strip']);
 let showing = null;
 function showSoon() {
@@ -36,7 +36,7 @@ const link = new Link((message) => {
     byId('person').hidden = !message.person;
     byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
-    // What was accepted before the connection was lost says nothing of now; what was not confirmed stands until something else is asked.
+    // An acceptance from before the connection was lost is outdated; a missing confirmation stays until the next request.
     if (answered) byId('reply').textContent = '';
     if (hadControl) lostControl(t('this page lost its connection'));
   }
@@ -50,7 +50,7 @@ const link = new Link((message) => {
     byId('bench-name').textContent = message.about.bench_file;
     byId('link').title = message.about.program;
     bench = message.bench ?? {state: 'on'};
-    // Where axes have halted is not so any more if somebody has moved them while this page was away.
+    // A halt that is shown is outdated if somebody has moved the axes while this page was not connected.
     if (message.halt) showHalt(message.halt);
     else if (message.activity.activity === 'idle' || haltKnown) clearHalt();
   }
@@ -72,7 +72,7 @@ function lostControl(why) {
   byId('lost-control').replaceChildren(t('This page no longer has control: '), why, ' (', timeElement(new Date(), 'clock'), ').');
 }
 
-// What is known, and since when; nothing that is not known now looks as if it were.
+// Shows what is known, and since when; outdated data are marked as such.
 function show() {
   const contact = link.contact, known = live.activity !== undefined;
   document.body.classList.toggle('no-contact', !contact);
@@ -92,7 +92,7 @@ function show() {
   offer(contact);
 }
 
-// How long a phase may last. Of a bench in simulated time that is not what a person sees.
+// How long a phase may last. In simulated time that differs from the real time that a person sees pass.
 function limitIn({seconds, simulated, words}) {
   const time = seconds < 1 ? small(seconds, 's') : duration(seconds);
   return simulated ? t`Limit: ${time} of simulated time ${t(words)}.` : t`Limit: ${time} ${t(words)}.`;
@@ -119,7 +119,7 @@ function showState(state, contact) {
   byId('favicon').href = `/favicon-${state.kind}.svg`;
 }
 
-// What can be asked for now.
+// Enables the controls that can be used now.
 function offer(contact) {
   const steer = contact && me !== null && steering.page === me;
   const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
@@ -132,7 +132,7 @@ function offer(contact) {
   for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
   set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
-  // Everybody may stop, with control or without, as long as anything can move or nobody knows whether it does.
+  // Everybody may stop, with control or without, while anything moves or its motion is unknown.
   const mayMove = canMove(activity) || (!contact && link.heardUtc !== null) || bench.state !== 'on';
   for (const id of ['do-stop', 'dialog-stop']) set(id, mayMove);
   const mayResume = steer && what === 'idle';
@@ -142,8 +142,8 @@ function offer(contact) {
   for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
 }
 
-// Sends a request, and says what became of it: sent, done, refused, or not confirmed. What takes time is accepted: it has begun,
-// and the banner says how it goes.
+// Sends a request, and shows its state: sent, done, refused, or not confirmed. A request that takes time is accepted when it has
+// begun; the banner shows its progress.
 const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
 async function ask(name, request, {moves = true} = {}) {
   const say = (words) => { byId('reply').textContent = `${name}: ${words}`; answered = false; };
@@ -160,9 +160,9 @@ async function ask(name, request, {moves = true} = {}) {
   return reply.ok;
 }
 
-// Stop is sent at once and by anybody; it is done when each axis has said that it stands still.
-let stopping = null;  // While the axes have not answered.
-let haltKnown = false;  // What stands there is what the axes have answered.
+// Stop is sent at once, by anybody; it is done when each axis has confirmed that it is at rest.
+let stopping = null;  // Timer, while the axes have not answered.
+let haltKnown = false;  // #halt shows the answer of the axes.
 function clearHalt() {
   haltKnown = false;
   byId('halt').textContent = '';
@@ -202,7 +202,7 @@ byId('dialog-stop').addEventListener('click', stop);
 let escaped = -Infinity;
 addEventListener('keydown', (event) => {
   if (event.key !== 'Escape' || event.repeat) return;
-  // When it was pressed: a busy page hears of it late.
+  // The time of the key press, as a busy page receives the event late.
   if (event.timeStamp - escaped < 1000) {
     escaped = -Infinity;
     if (!byId('do-stop').disabled) stop();
@@ -211,8 +211,8 @@ addEventListener('keydown', (event) => {
   }
 }, {capture: true});
 
-// A person's yes, by a dialog that begins at "Cancel".
-// more: a form that stands in it (open(holder, yes)).
+// Asks a person for a confirmation, by a dialog with the focus on "Cancel".
+// more: a form in the dialog (open(holder, yes)).
 function confirmed(title, text, yes, more = null) {
   const dialog = byId('confirm');
   byId('confirm-title').textContent = title;
@@ -265,7 +265,7 @@ byId('jog-form').addEventListener('submit', async (event) => {
     await ask(t('Jog'), {do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
-// Of a run whose angles are all measured only the analysis is missing: nothing moves. items: how many take part still.
+// Resumes a run. If all its angles are measured, it is only analysed and nothing moves. items: number that still takes part.
 async function resume(run, measured, items) {
   const missing = withoutMissing('resume-without-missing');
   const form = items > 1 ? {open: (holder) => holder.append(element('p', {}, t`${items} items take part. One that is left out stays left out.`), missing.label)} : null;

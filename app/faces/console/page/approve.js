@@ -1,5 +1,5 @@
-// The certificate of a run: what was issued, and the approval. Whoever approves proves it here and now, with a password or with a
-// key that stays where it is: the certificate is downloaded, signed there, and handed in.
+// The certificates of a run: those issued, and the approval. The approver is authenticated each time, by a password or by a key that
+// stays in its place: the certificate is downloaded, signed where the key is, and handed in.
 import {element, DASH} from '/text.js';
 import {fetched} from '/link.js';
 import {said} from '/said.js';
@@ -21,11 +21,11 @@ const UNANSWERED = 'no answer came: nobody knows whether it was carried out; loa
 const encoded = (name) => encodeURIComponent(name);
 const line = ({number, date, approved_by: approver, replaces, reason}) => t`${number}, issued ${date}, approved by ${approver}` + (replaces ? t`; replaces ${replaces}: ${reason}` : '');
 
-// Where the console has what belongs to an item of a run; 0: it has one.
+// The path at the console of an item of a run. item 0: the run has one item.
 const pathOf = ({run, item}) => `/runs/${encoded(run.name)}${item ? `/items/${item}` : ''}`;
 const namedIn = ({run, item}) => ({run: run.name, ...(item ? {item} : {})});
 
-// A card that fills itself; `changed` is called when a certificate was issued. item: of several, which; 0: the run has one.
+// A card that fills itself; `changed` is called when a certificate was issued. item: its number; 0: the run has one item.
 export function certificateCard(run, item, changed) {
   const body = element('div', {id: 'certificate'}, element('p', {role: 'status'}, TEXT.reading));
   fill({run, item}, body, changed);
@@ -51,7 +51,7 @@ async function fill(of, body, changed) {
 
 const labelled = (words, control) => element('div', {}, element('label', {for: control.id}, words), control);
 
-// What the console answers to a request of a form; what it refuses stands below it.
+// Sends a form and returns the answer of the console as JSON. On a refusal returns null, and shows the reason below the form.
 async function ask(told, words, path, body) {
   told.className = '';
   told.textContent = words;
@@ -71,7 +71,7 @@ function tellIssued(told, issued, changed) {
   changed();
 }
 
-// Of the approval by key: first the certificate is made and downloaded, then it is handed in with its signature.
+// The form for approval by key: first the certificate is made and downloaded, then it is handed in with its signature.
 function keyForm(of, state, changed) {
   const box = element('details', {id: 'approve-by-key', class: 'no-print'}, element('summary', {}, TEXT.byKey));
   if (!state.keys.length) {

@@ -1,9 +1,9 @@
-// What is done at a bench beside runs: check without motion, levelling, and who answers on the ports.
+// The activities of a bench in addition to runs: check without motion, levelling, and probing of the ports.
 import {byId, element, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 
-// What people read here and that has no values in it.
+// The texts without values.
 const TEXT = {
   check: t('Check without motion'), level: t('Level'), probe: t('Ask the ports'),
   levelTitle: t('Level the stage?'), levelText: t('The Z axis makes a whole turn with X at zero, then both axes go to four positions. The tilt of Z and the zero of X are stored in the run folder.'), levelYes: t('Level, and turn the stage'),

@@ -1,4 +1,4 @@
-// German words of the page; where a value stands: {}, in the order of the English.
+// German texts of the page; {} stands for a value, in the order of the English text.
 export default {
   '(stated, not verified)': '(Angabe, nicht geprüft)',
   ' (closing angle)': ' (Schlusswinkel)',
@@ -304,7 +304,7 @@ export default {
   'abcal console: log in': 'abcal-Konsole: Anmeldung',
   'abcal console: token': 'abcal-Konsole: Token',
   'accelerometer': 'Beschleunigungsaufnehmer',
-  // Of the program, not of this page: limits of time, what it says of the bench, downloads.
+  // Texts of the program, not of this page: time limits, state of the bench, downloads.
   'for each axis': 'je Achse',
   'beyond the time that the speed of the stage needs': 'über die Zeit hinaus, die der Drehtisch bei seiner Geschwindigkeit braucht',
   'until the angle is flagged': 'bis zur Kennzeichnung des Winkels',
@@ -407,7 +407,7 @@ export default {
   '{} {}, serial number {}': '{} {}, Seriennummer {}',
   '{}, of item {}, oldest first': '{}, Gegenstand {}, älteste zuerst',
   '{}: value': '{}: Wert',
-  // A day's work: start form, queue, bench, certificate, what is made in seconds.
+  // Daily work: start form, queue, bench, certificate, products that take seconds.
   'From the register, or type or scan its serial number': 'Aus dem Register, oder Seriennummer eingeben oder scannen',
   'as typed below': 'wie unten eingegeben',
   'Serial number': 'Seriennummer',

@@ -1,7 +1,7 @@
-// Focus is never lost: when what has it can no longer be used, or is gone, the nearest thing that can be used gets it. And it is
-// never under the banner.
+// Focus is never lost: if the focused element is disabled, hidden or removed, the nearest usable one gets the focus. It is never
+// hidden under the banner.
 const CONTROLS = 'button:enabled, a[href], input:enabled, select:enabled, summary, [tabindex="0"]';
-let around = [];  // What had focus last, and all that it was in.
+let around = [];  // The element that had the focus last, followed by its ancestors.
 
 const usable = (element) => element.isConnected && element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled');
 
@@ -19,7 +19,7 @@ export function keepFocus(banner) {
     around = [];
     for (let at = target; at && at !== document.documentElement; at = at.parentElement) around.push(at);
   });
-  // Who clicks beside everything wants it nowhere.
+  // After a click outside all controls nothing is to have the focus.
   addEventListener('pointerdown', () => { around = []; }, {capture: true});
   new MutationObserver(keep).observe(document.body, {subtree: true, childList: true, attributes: true, attributeFilter: ['disabled', 'hidden', 'class']});
   new ResizeObserver(() => { document.documentElement.style.scrollPaddingTop = `${banner.offsetHeight + 8}px`; }).observe(banner);

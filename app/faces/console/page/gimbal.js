@@ -6,7 +6,7 @@ const AZIMUTH = -58 * Math.PI / 180, ELEVATION = 24 * Math.PI / 180;
 const RIGHT = [-Math.sin(AZIMUTH), Math.cos(AZIMUTH), 0];
 const UP = [-Math.sin(ELEVATION) * Math.cos(AZIMUTH), -Math.sin(ELEVATION) * Math.sin(AZIMUTH), Math.cos(ELEVATION)];
 const TO_EYE = [Math.cos(ELEVATION) * Math.cos(AZIMUTH), Math.cos(ELEVATION) * Math.sin(AZIMUTH), Math.sin(ELEVATION)];
-const RING = 84, PLATTER = 60, HALF = 18, HEIGHT = 20;  // of the picture's units
+const RING = 84, PLATTER = 60, HALF = 18, HEIGHT = 20;  // in units of the picture
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const screen = (p) => `${dot(p, RIGHT).toFixed(1)} ${(-dot(p, UP)).toFixed(1)}`;
@@ -36,9 +36,9 @@ export function drawGimbal(xDeg, zDeg) {
   draw('gimbal-ring', circle(RING).map(outer));
   draw('gimbal-platter', circle(PLATTER).map(inner));
   draw('gimbal-mark', [[HALF, 0, 0], [PLATTER, 0, 0]].map(inner), false);
-  // Of the item, a cube, only the faces turned to the eye.
+  // Draws only those faces of the item, a cube, that face the viewer.
   const seen = FACES.filter(([normal]) => dot(inner(normal), TO_EYE) > 0);
   byId('gimbal-item').setAttribute('d', seen.map(([, corners]) => path(corners.map(inner))).join(' '));
-  // The item is on the side of the platter that is turned away: seen through it.
+  // If the item is on the far side of the platter, it is seen through the platter.
   byId('gimbal-item').classList.toggle('behind', dot(outer([0, 0, 1]), TO_EYE) < 0);
 }

@@ -1,4 +1,4 @@
-// A card for each of several items: who it is, how far it was measured, and why it takes no part any more.
+// A card for each of several items: its identity, how many angles are measured, and why it was left out.
 import {element, number, signed, DASH} from '/text.js';
 import {said} from '/said.js';
 import {OUTPUTS} from '/plots.js';
@@ -11,7 +11,7 @@ function itemCard(item, of, ...more) {
     ...(item.dropped ? [element('p', {class: 'grade-warning'}, t('left out'), ': ', said(item.dropped))] : []), ...more);
 }
 
-// While a run goes on: with the mean of the last angle.
+// The card during a run, with the mean of the last angle.
 export function liveItem(item, of) {
   const means = element('table', {}, element('caption', {}, t`Last mean (${item.unit})`),
     element('tbody', {}, ...OUTPUTS.map((name, j) => element('tr', {}, element('th', {scope: 'row'}, name), element('td', {class: 'number', 'data-heading': `${name} (${item.unit})`}, item.mean ? signed(item.mean[j], 6) : DASH)))));
@@ -19,14 +19,14 @@ export function liveItem(item, of) {
   return itemCard(item, of, means, ...temperature, ...(item.flags ? [element('p', {class: 'grade-warning'}, said(item.flags))] : []));
 }
 
-// Before a run of several items begins or goes on: whether all of them must be there. id: of the box that a person ticks.
+// The choice before a run of several items begins or resumes: whether missing items are left out. id: that of the check box.
 export function withoutMissing(id) {
   const box = element('input', {id, type: 'checkbox'});
   return {label: element('label', {class: 'check'}, box, element('span', {}, t('Leave out items that are not there, and measure the others'))),
     choice: () => (box.checked ? {without_missing_items: true} : {})};
 }
 
-// Of a result: which item is shown, and the way to the others.
+// The cards in a result: the item that is shown, and links to the others.
 export function resultItems(run, shown) {
   const card = (item) => {
     const made = itemCard({...item, name: item.serial_number}, run.planned || null,

@@ -1,5 +1,5 @@
-// The language of the page: the browser's, or the one chosen with the switch. English stands in the sources; the words of each
-// other language are a table by the English ones, "{}" where a value stands.
+// The language of the page: the browser's, or the one chosen with the switch. The sources have the English text; each other
+// language is a table by the English text, with "{}" for a value.
 import de from '/de.js';
 
 const TABLES = {de};
@@ -15,7 +15,7 @@ function chosen() {
 export const language = chosen();
 const words = TABLES[language] ?? {};
 
-// t`${n} of ${all} runs`, or t('Idle'): in the language of the page; in English if it has no words for it.
+// t`${n} of ${all} runs`, or t('Idle'): the text in the language of the page; in English if the table has no entry.
 export function t(text, ...values) {
   const parts = typeof text === 'string' ? [text] : text;
   const said = words[parts.join('{}')];
@@ -24,13 +24,13 @@ export function t(text, ...values) {
   return said.replace(/\{\}/g, () => values[i++]);
 }
 
-// What the program says in English, with the parts that are always the same in the language of the page.
+// English texts of the program, with their constant parts in the language of the page.
 export const rolesIn = (list) => list.split(', ').map((role) => t(role)).join(', ');
 export const operatorIn = (words) => (words ?? '').replace(/\(stated, not verified\)$/, (stated) => t(stated));
 export const angleIn = (words) => words.replace(/^experiment (\d), (\S+) degrees/, (_, experiment, angle) => t`experiment ${experiment}, ${angle} degrees`)
   .replace(/^check pose (\d+)/, (_, n) => t`check pose ${n}`).replace(' (closing angle)', (closing) => t(closing));
 
-// All that the page has from the beginning.
+// Translates the initial contents of the page.
 export function translate(root = document.body) {
   document.documentElement.lang = language;
   if (!TABLES[language]) return;
@@ -44,8 +44,8 @@ export function translate(root = document.body) {
     for (const element of root.querySelectorAll(`[${name}]`)) element.setAttribute(name, t(element.getAttribute(name)));
 }
 
-// The switch: names the other language, in that language. Without an answer of the console the page is not left: what the browser
-// would show instead does not come back by itself.
+// The switch: names the other language, in that language. Without an answer of the console the page is not reloaded: the error
+// page of the browser would not return to it by itself.
 export function offerLanguage(button, unanswered = () => {}) {
   const other = language === 'de' ? 'en' : 'de';
   button.textContent = NAMES[other];

@@ -1,11 +1,11 @@
 import {t} from '/language.js';
 
-// How the page hears the console. The WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each second it
-// sends a beat, which is answered.
+// The connection of the page to the console by a WebSocket: messages in, requests out; connects again by itself. Knows when the
+// bench was last heard: each second the bench sends a beat, which is answered.
 export const SILENT_AFTER_MS = 3000;
 export const UNCONFIRMED_AFTER_MS = 2000;
 
-// As fetch; that no answer came is said in words that the page has, and not as each browser says it.
+// As fetch(), but a missing answer is an error with a text of the page instead of one of the browser.
 export async function fetched(path, options = {}, unanswered = 'there is no connection to the console') {
   try {
     return await fetch(path, options);
@@ -30,7 +30,7 @@ export class Link {
   }
 
   get connected() { return this.socket.readyState === WebSocket.OPEN; }
-  // How long nothing has been heard; Infinity: never.
+  // Time since the bench was last heard; Infinity: never.
   get silentMs() { return this.heard === null ? Infinity : performance.now() - this.heard; }
   get contact() { return this.connected && this.silentMs < SILENT_AFTER_MS; }
 
@@ -49,7 +49,7 @@ export class Link {
     };
   }
 
-  // Whether this page may still be here: a WebSocket that is declined does not say why.
+  // Loads the page again if its visitor is not admitted any more: a WebSocket that is declined does not say why.
   async askWho() {
     try {
       if ((await fetch('/who')).status === 401) location.reload();
@@ -57,14 +57,14 @@ export class Link {
   }
 
   receive(message) {
-    message.type ??= message.event;  // Events of a run have the names that they have in the program.
+    message.type ??= message.event;  // Events of a run state their type as `event`.
     if (message.type === 'reply') {
       const resolve = this.waiting.get(message.id);
       this.waiting.delete(message.id);
       if (resolve) resolve(message);
       return;
     }
-    // A beat, or the whole state to begin with; anything else may have been on its way for long.
+    // Only a beat, or the whole state at first, proves contact; any other message may be old.
     if (message.type === 'beat' || message.type === 'snapshot') {
       const before = this.contact;
       this.heard = performance.now();
@@ -75,7 +75,7 @@ export class Link {
     this.onMessage(message);
   }
 
-  // The answer: {ok, why}; `lost`: none came, and nobody knows whether the request was carried out.
+  // Resolves to the answer {ok, why}. `lost`: none came, and it is unknown whether the request was carried out.
   ask(request) {
     if (!this.connected) return Promise.resolve({ok: false, unsent: true, why: t('there is no connection to the console')});
     const id = ++this.lastId;

@@ -1,4 +1,4 @@
-// The live view: shows what the messages say. Knows nothing that the server has not said.
+// The live view: shows the data of the messages, and nothing that the server has not stated.
 import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
@@ -10,11 +10,11 @@ import {Strip} from '/strip.js';
 import {timeElement} from '/time.js';
 
 const REDRAWN_AFTER_MS = 100;
-const LINES = 200;  // Of the log, at most.
+const LINES = 200;  // Most lines of the log.
 
-// A number that is not finite comes as a text.
+// Numbers that are not finite arrive as texts.
 const finite = (value) => (Number.isFinite(value) ? value : null);
-// What each item read at an angle; of one item alone it is the dwell.
+// The readings of each item at an angle; with a single item, the dwell.
 const readingsOf = ({dwell, items}) => (items.length ? items : [{k: 1, ...dwell}]);
 // How a run ended, with the verdict or the cause in words.
 const endOf = (event) => event && {...event, words: !event.complete ? event.reason : event.verdict ? `${event.verdict}: ${event.reason}` : ''};
@@ -22,20 +22,20 @@ const endOf = (event) => event && {...event, words: !event.complete ? event.reas
 export class LiveView {
   constructor() {
     this.run = null;
-    this.items = [];  // Empty: there is one.
+    this.items = [];  // Empty: a single item.
     this.dwells = new Map();
     this.fits = [null, null, null];
     this.charts = [];
     this.stageSeen = {x: {}, z: {}};
-    this.newLines = [];  // Of the log, not shown yet.
-    this.untold = new Set();  // Parts of the page whose words have changed, and when they were shown last.
+    this.newLines = [];  // Lines of the log that are not shown yet.
+    this.untold = new Set();  // Parts of the page whose text has changed; `told`: when text was shown last.
     this.told = -Infinity;
     this.dirty = new Set(['strip']);
     this.strip = new Strip(() => this.dirty.add('strip'));
     this.makeResponses();
     this.makeTable();
-    drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
-    // Drawn when the browser is ready, however fast messages come.
+    drawGimbal(0, 0);  // Until an angle is known; the table then shows dashes.
+    // Drawn when the browser is ready, however fast messages arrive.
     this.drawn = new Map();
     const frame = (now) => { this.draw(now); requestAnimationFrame(frame); };
     requestAnimationFrame(frame);
@@ -76,7 +76,7 @@ export class LiveView {
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
       byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
       byId('time').textContent = this.run.simulated_time ? t`simulated, ${this.about.pace} times as fast as real time` : t('real');
-    } else {  // The process that holds the bench has begun anew.
+    } else {  // The process that holds the bench has started again.
       for (const id of ['run-file', 'item', 'operator', 'time']) byId(id).textContent = DASH;
       byId('simulated').textContent = '';
     }
@@ -108,7 +108,7 @@ export class LiveView {
     switch (message.type) {
       case 'snapshot': this.snapshot(message); break;
       case 'activity':
-        if (message.activity === 'checking') this.strip.begin([], []);  // The readings begin again, and their time with them.
+        if (message.activity === 'checking') this.strip.begin([], []);  // The readings start again, and their time starts at zero.
         if (message.activity !== 'idle') this.fault = null;
         if (message.activity === 'idle') this.phase = null;
         this.activity = message;
@@ -138,7 +138,7 @@ export class LiveView {
         this.untold.add('words');
         this.dirty.add('table');
         this.itemsChange();
-        if (message.fit.experiment > 0) {  // A check pose is of no experiment.
+        if (message.fit.experiment > 0) {  // A check pose belongs to no experiment.
           this.fits[message.fit.experiment - 1] = message.fit.outputs;
           this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
         }
@@ -150,7 +150,7 @@ export class LiveView {
     this.tell();
   }
 
-  // Words, log and angles: once for all messages of a short while. By time, not by frames: a page in the background has none.
+  // Shows words, log and angles once per REDRAWN_AFTER_MS. By a timer, as a page in the background gets no animation frames.
   tell() {
     if (!this.untold.size) return;
     const wait = this.told + REDRAWN_AFTER_MS - performance.now();
@@ -166,7 +166,7 @@ export class LiveView {
     if (parts.has('words')) { this.words(); this.drawProgress(); }
   }
 
-  // An angle that is measured: the dwell of its first item, and the last mean of each.
+  // Stores a measured angle: the dwell of its first item, and the last mean of each item.
   knowDwell(done) {
     const {position, dwell} = done, readings = readingsOf(done);
     const words = (flags) => this.about.flags.filter((_, bit) => flags & (1 << bit)).join(', ');
@@ -181,10 +181,10 @@ export class LiveView {
     this.dirty.add('items').add('strip');
   }
 
-  // Whether the server is heard; what is not known now does not count on.
+  // Sets whether the server is heard. Without contact the remaining time does not count down.
   setContact(contact) {
     if (this.contact === contact) return;
-    this.countDown();  // With what was known before; a run may have ended a moment ago.
+    this.countDown();  // With the last known data; a run may have ended a moment ago.
     this.contact = contact;
     this.leftSince = performance.now();
     if (contact) this.countDown();
@@ -202,7 +202,7 @@ export class LiveView {
     this.offerInterrupted();
   }
 
-  // A run that a person may go on with.
+  // Shows a run that a person may resume.
   offerInterrupted() {
     const run = this.interrupted;
     byId('interrupted').hidden = !run || this.activity.activity !== 'idle';
@@ -212,7 +212,7 @@ export class LiveView {
       ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
   }
 
-  // Whether all is still now; else how long that took at the angle measured last.
+  // Shows whether stage and outputs are at rest, and how long settling took at the last measured angle.
   settling() {
     const now = {moving: t('the stage moves'), settling: t('waiting until the outputs are quiet'), reading: t('still'), held: t('still')}[this.phase?.phase];
     const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_time_s) ? t`last angle: ${number(this.lastDwell.settle_time_s, 1, 's')}` : '';
@@ -234,7 +234,7 @@ export class LiveView {
   }
 
   countDown() {
-    if (this.contact === false) return;  // Nobody knows whether it goes on.
+    if (this.contact === false) return;  // It is unknown whether the run goes on.
     const elapsed = (performance.now() - this.leftSince) / 1000;
     this.leftSince = performance.now();
     const phase = this.phase?.phase ?? '', port = phase.startsWith('waiting for a port');
@@ -280,7 +280,7 @@ export class LiveView {
       findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), f.advice ? said(f.advice) : ''])));
   }
 
-  // One part in a frame, each at most ten times a second: the page can be used however fast messages come.
+  // Draws one part per frame, each at most ten times a second, so that the page stays usable however fast messages arrive.
   draw(now) {
     const part = [...this.dirty].find((name) => now - (this.drawn.get(name) ?? -Infinity) >= REDRAWN_AFTER_MS);
     if (part === undefined) return;
@@ -293,7 +293,7 @@ export class LiveView {
     if (part === 'items') this.drawItems();
   }
 
-  // The responses are those of one item: of several the first that takes part, which is another if that was left out.
+  // The item whose responses are shown: the first one in the last dwell, which changes if an item is left out.
   get responding() { return this.lastDwell?.item ?? this.items.find(({dropped}) => !dropped)?.k ?? 1; }
   get unit() { return this.items.find(({k}) => k === this.responding)?.unit ?? this.run?.unit ?? ''; }
   ofResponding() { return [...this.dwells.values()].filter(({item}) => item === this.responding); }

@@ -1,7 +1,7 @@
 import {offerLanguage, t, translate} from '/language.js';
 
-// Who it is: the form is posted once; what proves it from then on is a cookie that no script can read. A token after "#" in
-// the address is never sent as a part of it.
+// The login: the form is posted once; from then on a cookie that no script can read identifies the visitor. A token after "#" in
+// the address is never sent as a part of the address.
 translate();
 const refusal = document.getElementById('refusal');
 const unanswered = () => { refusal.textContent = t('The console does not answer.'); };

@@ -1,4 +1,4 @@
-// What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
+// Requests that take the console seconds: shown with a text and a button "Cancel", which also ends the work at the console.
 import {element} from '/text.js';
 import {fetched} from '/link.js';
 import {said} from '/said.js';
@@ -6,14 +6,14 @@ import {t} from '/language.js';
 
 const TEXT = {cancel: t('Cancel'), cancelled: t('Cancelled.'), printing: t('The PDF is being made.')};
 
-let ofView = null;  // What the view waits for; another view ends it.
+let ofView = null;  // Aborts the request of the current view when another view is shown.
 
 export function endMaking() {
   ofView?.abort();
   ofView = null;
 }
 
-// What `read` makes of the response; null: the person has cancelled it, or has gone to another view.
+// Resolves to read(response); null: the person has cancelled the request, or has gone to another view.
 async function ask(path, holder, words, read, ends) {
   const cancel = element('button', {type: 'button', class: 'cancel'}, TEXT.cancel);
   cancel.addEventListener('click', () => { ends.abort(); holder.replaceChildren(element('p', {role: 'status'}, TEXT.cancelled)); });
@@ -28,14 +28,14 @@ async function ask(path, holder, words, read, ends) {
   }
 }
 
-// The JSON of a view, of which there is one at a time.
+// Resolves to the JSON for a view; one such request at a time.
 export function askForView(path, holder, words) {
   endMaking();
   ofView = new AbortController();
   return ask(path, holder, words, (response) => response.json(), ofView);
 }
 
-// A link to something that is made in seconds: says so in `holder`, and saves what came.
+// Makes a link wait for a product that takes seconds: shows the wait in `holder`, then saves the product.
 export function savesPatiently(link, holder) {
   link.addEventListener('click', async (event) => {
     event.preventDefault();

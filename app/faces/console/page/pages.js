@@ -1,12 +1,12 @@
-// A long table, a page at a time, since a browser is slow with thousands of cells; on paper it is whole.
+// A long table, shown a page at a time since a browser is slow with thousands of cells; printed as a whole.
 import {element, table} from '/text.js';
 import {t} from '/language.js';
 
 const ROWS = 50;
 
 export class PagedTable {
-  // rows() gives the cells of rows from one number up to another, and is asked when they are shown. follow: as the table grows,
-  // its last page is shown until another is chosen.
+  // rows(from, to) returns the cells of these rows, and is called when they are shown. follow: as the table grows, its last page
+  // is shown until another is chosen.
   constructor(holder, {caption, head, rows, follow = false}) {
     Object.assign(this, {holder, caption, head, rows, follow, grows: follow, count: 0, page: 0, whole: false});
     holder.classList.add('paged');
@@ -39,7 +39,7 @@ export class PagedTable {
   }
 }
 
-// Every table on the page, as a whole or a page at a time.
+// Shows every paged table as a whole, or a page at a time.
 export function showWhole(whole) {
   for (const {pagedTable} of document.querySelectorAll('.paged')) {
     pagedTable.whole = whole;

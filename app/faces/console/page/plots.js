@@ -1,12 +1,12 @@
 import {t} from '/language.js';
 import {offerZoom, shade} from '/zoom.js';
 
-// Chart.js (a global of chart.js) dressed for this page: colours of the style sheet, also after light and dark change.
+// Chart.js (a global of chart.js) with the colours of the style sheet, also after a change between light and dark.
 const palette = {};
 const made = new Set();
 
 export const OUTPUTS = ['u', 'v', 'w'];
-const POINTS = ['circle', 'triangle', 'rect'];  // Not by colour alone.
+const POINTS = ['circle', 'triangle', 'rect'];  // Outputs do not differ by colour alone.
 const DASHES = [[], [6, 3], [2, 2]];
 
 function readPalette() {
@@ -14,7 +14,7 @@ function readPalette() {
   for (const name of ['dim', 'line', 'bad', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
 }
 readPalette();
-// Again, with the colours that the style sheet has now.
+// Draws all plots again, with the present colours of the style sheet.
 export function repaint() {
   readPalette();
   for (const chart of made) {
@@ -26,10 +26,10 @@ export function repaint() {
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
-// Functions, which Chart.js asks at each update.
+// Functions, which Chart.js calls at each update.
 const dim = () => palette.dim;
 const line = () => palette.line;
-// Of a dataset they are values: functions would be asked for each point.
+// The colours of a dataset are values, as functions would be called for each point.
 function coloursOf(output) {
   const colour = palette[output] ?? palette.dim;
   return {borderColor: colour, backgroundColor: colour, pointBackgroundColor: colour, pointBorderColor: colour};
@@ -39,11 +39,11 @@ function axis(words, more = {}) {
   return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, format: {useGrouping: false}, color: dim}, grid: {color: line}};
 }
 
-// Of one width in plots that stand under each other, so that their angles do too.
-const LEFT = 78;  // px, if that is enough
+// Y axes of equal width in plots below each other, so that their angles are aligned.
+const LEFT = 78;  // least width in px
 const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
 
-// What stands for a line in the legend: its dashes, and its marker if it has one. Drawn once: the legend asks at each update.
+// The sample of a line in the legend: its dashes and its marker. Drawn once, as the legend asks for it at each update.
 const drawnSamples = new Map();
 function sample(item, dash) {
   const key = `${dash} ${item.pointStyle} ${item.strokeStyle}`;
@@ -97,12 +97,12 @@ export function discard(chart) {
   chart.destroy();
 }
 
-// Points and lines over numbers. Axis titles carry the units; of a name that begins with "_" the legend is silent.
+// A plot of points and lines over numbers. Axis titles carry the units; the legend omits names that begin with "_".
 export function plot(canvas, {datasets, xRange = {}, ...words}) {
   return draw(canvas, 'line', {datasets}, {...words, xRange: {type: 'linear', ...xRange}});
 }
 
-// Small where there are many.
+// Smaller if there are many points.
 export const pointRadius = (points) => (points.length > 40 ? 1.8 : 3);
 
 // A line through points, or points alone.
@@ -119,7 +119,7 @@ export function bars(canvas, {x = '', y, labels, sets}) {
 }
 
 // Values with a band of two standard uncertainties, and the limits of a control chart where there are any.
-// `words` of a point stand under it instead of its number.
+// The text `words` of a point is shown below it instead of its number.
 export function band(canvas, {x, y, points, output, limits = null, marks = false}) {
   const edge = (sign) => points.map((p) => ({x: p.x, y: p.y + sign * 2 * (p.u ?? 0)}));
   const level = (name, value, dash) => ({...series('', name), borderWidth: 1.2, borderDash: dash,

@@ -1,4 +1,4 @@
-// On paper: what is folded is shown, and the plots have the colours of print.css.
+// On paper folded contents are shown, and the plots have the colours of print.css.
 import {showWhole} from '/pages.js';
 import {repaint} from '/plots.js';
 

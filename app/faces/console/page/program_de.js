@@ -1,10 +1,10 @@
-// German words for what the program says of a run and its bench; "{}" stands for a value. What certificates say too has its words
-// in their table.
+// German texts for messages of the program on a run and its bench; "{}" stands for a value. Texts that certificates share are in
+// the table of the certificates.
 export default {
-  // What the page says of a request.
+  // Messages of the page on a request.
   'there is no connection to the console': 'es gibt keine Verbindung zur Konsole',
   'no answer came: nobody knows whether it was carried out; load the page again and look before you repeat it': 'keine Antwort kam: Niemand weiß, ob es ausgeführt wurde; die Seite neu laden und nachsehen, bevor man es wiederholt',
-  // Checks of a result, and what they ask.
+  // Checks of a result, and their meaning.
   'mounting slip': 'Verrutschen',
   'Did the accelerometer turn on the platter between two angles, and stay so?': 'Hat sich der Aufnehmer zwischen zwei Winkeln auf dem Drehteller verdreht und ist so geblieben?',
   'missed step of axis X': 'Schrittverlust der Achse X',
@@ -77,7 +77,7 @@ export default {
   'The run waited here for the temperature, then measured the angle again.': 'Der Lauf hat hier auf die Temperatur gewartet und den Winkel dann noch einmal gemessen.',
   'norm not that of gravity': 'Betrag nicht der der Fallbeschleunigung',
   'The norm of the readings is not that of local gravity: unit or scale.': 'Der Betrag der Ablesungen ist nicht der der örtlichen Fallbeschleunigung: Einheit oder Skala.',
-  // How a run ended.
+  // Ends of a run.
   'usable: {}': 'brauchbar: {}',
   'doubtful: {}': 'zweifelhaft: {}',
   'not usable: {}': 'unbrauchbar: {}',
@@ -104,7 +104,7 @@ export default {
   'an output that does not change at all may be stuck: touch the bench and check whether it changes': 'ein Ausgang, der sich gar nicht ändert, kann eingefroren sein: den Messplatz berühren und sehen, ob er sich ändert',
   'set rate_hz to the rate of the instrument': 'rate_hz auf die Rate des Geräts setzen',
   'use a better cable, a higher baud rate or a lower rate_hz': 'ein besseres Kabel, eine höhere Baudrate oder eine kleinere rate_hz verwenden',
-  // What a start form warns of.
+  // Warnings of a start form.
   'The item has no serial number: the run will have the one that the instrument reports.': 'Der Prüfling hat keine Seriennummer: Der Lauf bekommt die, die das Gerät meldet.',
   'Run {} was interrupted: {} of {} angles are measured. It can be resumed instead.': 'Der Lauf {} wurde unterbrochen: {} von {} Winkeln sind gemessen. Er kann stattdessen fortgesetzt werden.',
   'The register has no item {} {} in use: check the serial number, or add the item (abcal lab add item).': 'Das Register hat keinen Prüfling {} {} in Gebrauch: die Seriennummer prüfen oder den Prüfling eintragen (abcal lab add item).',
@@ -122,7 +122,7 @@ export default {
   'of no stated model': 'ohne Angabe des Modells', 'the simulation': 'der Simulation', 'run {}': 'Lauf {}',
   '{}: {} are free on this disk; required: about {} for {} angles of {} readings{}. Free some space, or choose another disk with -o': '{}: Auf dieser Platte sind {} frei; verlangt: etwa {} für {} Winkel mit {} Ablesungen{}. Platz schaffen oder mit -o eine andere Platte wählen',
   '{}: {} are free on this disk; required: about {} for {} angles of {} readings{}. Make sure that nothing else fills the disk during the run': '{}: Auf dieser Platte sind {} frei; verlangt: etwa {} für {} Winkel mit {} Ablesungen{}. Darauf achten, dass während des Laufs nichts anderes die Platte füllt',
-  // What is refused.
+  // Refusals.
   'no run is in progress': 'es ist kein Lauf im Gange', 'no run is held': 'kein Lauf ist angehalten',
   'nothing is in progress that could be stopped': 'es ist nichts im Gange, was gestoppt werden könnte',
   'the stage is at rest; the run is being analysed': 'der Drehtisch ruht; der Lauf wird ausgewertet',

@@ -1,11 +1,11 @@
 // The queue of items and plans: add, reorder, repeat, remove, pause; between two items the next one is mounted and checked.
-// Nothing here starts by itself but a further run of the item that stays mounted.
+// Nothing starts by itself except a further run of the item that stays mounted.
 import {byId, element, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 import {StartForm} from '/start.js';
 
-// What people read here and that has no values in it.
+// The texts without values.
 const TEXT = {
   title: t('Queue'), add: t('Add an item'), goOn: t('Let the queue go on'), pause: t('Pause the queue'), paused: t('The queue is paused: nothing of it is asked for or started.'),
   goes: t('The queue goes on. Nothing moves to the next item until a person confirms.'), empty: t('The queue is empty.'), nothingLeft: t('All that was in the queue is done.'),
@@ -43,7 +43,7 @@ export class QueueView {
     if (message.type === 'queue') this.show(message);
   }
 
-  // May this page steer, and is the bench idle?
+  // may: this page steers; idle: the bench is idle.
   offer(may, idle) {
     if (this.may === may && this.idle === idle) return;
     this.may = may;
@@ -65,7 +65,7 @@ export class QueueView {
     this.showNext(paused ? null : next);
     this.showList(entries);
     this.enable();
-    // The button that was pressed is made anew, perhaps in another row: it keeps the focus.
+    // The pressed button is made again, perhaps in another row: the new one gets the focus.
     if (label && document.activeElement === document.body) [...byId('queue-body').querySelectorAll('button:enabled')].find((button) => button.getAttribute('aria-label') === label)?.focus();
   }
 

@@ -14,7 +14,7 @@ const VERDICTS = {usable: t('Usable'), doubtful: t('Doubtful'), not_usable: t('N
 const STATES = {running: t('running, or its program died'), interrupted: t('interrupted'), complete: t('complete'), abandoned: t('abandoned'), unreadable: t('cannot be read'), 'not read yet': t('is being read')};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
 const HEADINGS = [t('Run'), t('Item (serial number)'), t('Model'), t('Begun'), t('State'), t('Result'), t('Operator'), t('Measured'), t('Duration'), t('Go on')];
-const ROWS = 100;  // On one page of the list.
+const ROWS = 100;  // Rows on one page of the list.
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
 const SYMBOLS = t('s_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.');
 
@@ -56,7 +56,7 @@ export async function showRuns(resume) {
   } catch (error) {
     return say('run-table', error);
   }
-  // Many runs are read in steps; what is there is shown meanwhile.
+  // Many runs are read in steps; those already read are shown meanwhile.
   const unread = list.filter((run) => run.state === 'not read yet').length;
   byId('run-loading').textContent = unread ? t`Reading: ${unread} of ${list.length} runs are still to come.` : '';
   if (unread) setTimeout(() => { if (location.hash === '#runs') showRuns(resume); }, 200);
@@ -65,7 +65,7 @@ export async function showRuns(resume) {
   drawList(resume);
 }
 
-// A run of simulated instruments never looks like a calibration.
+// Marks a run of simulated instruments, so that nobody takes it for a calibration.
 export function simulatedMark(run) {
   return element('strong', {class: 'simulated', title: t`Simulated: ${rolesIn(run.simulated)}`}, t('SIMULATED'));
 }
@@ -123,14 +123,14 @@ function drawPages(found, resume) {
 
 // One run.
 
-// What a list of runs, or the page of one that was not complete, says of its state may not be so any more.
+// Loads the list of runs, or the page of a run that was not complete, again: a state shown may be outdated.
 let showAgain = null;
 export function statesMayHaveChanged(resume) {
   if (location.hash === '#runs') showRuns(resume);
   else if (location.hash.startsWith('#runs/')) showAgain?.();
 }
 
-// item: of several, which; nothing: the first that was not left out.
+// item: its number; absent: the first that was not left out.
 export async function showRun(name, item, {again = false} = {}) {
   showAgain = null;
   byId('run-list').hidden = true;
@@ -145,7 +145,7 @@ export async function showRun(name, item, {again = false} = {}) {
   if (!data) return;
   const {run, results} = data;
   if (run.state !== 'complete') showAgain = () => showRun(name, item, {again: true});
-  // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
+  // The first result is that of the estimator chosen for the run; the fits of the published protocol show properties of the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
   detail.replaceChildren(
     element('p', {class: 'no-print'}, element('a', {href: '#runs'}, t('All runs'))),
@@ -178,7 +178,7 @@ function verdict(result, run) {
     ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, said(note))))] : []));
 }
 
-// What failed comes first, with what is wrong; of the others, what was asked.
+// A table of the checks: the failed ones first, with the reason; each with its meaning.
 function checks(result, meanings) {
   const all = [...result.diagnostics.checks].sort((a, b) => a.passed - b.passed);
   if (!all.length) return element('p', {}, t('Nothing was checked: the result has too few angles.'));
@@ -201,7 +201,7 @@ function flagged(result, meanings) {
   return made;
 }
 
-// item: of several, which; 0: there is one.
+// item: its number; 0: the run has one item.
 function downloads(kinds, run, item) {
   const bar = element('p', {class: 'bar'}, t('Download:')), making = element('div', {class: 'bar'});
   for (const {name, words} of kinds || []) {
@@ -321,7 +321,7 @@ export async function showCompare(first, second) {
     return say('compare-table', error);
   }
   const usable = list.filter((run) => run.state === 'complete');
-  // Of a run with several items each: NAME#K.
+  // The items of a run with several are listed singly: NAME#K.
   const choices = usable.flatMap((run) => run.items.filter(({dropped}) => dropped === null).map(({k, serial_number: serial}) => ({run, serial, name: run.items.length > 1 ? `${run.name}#${k}` : run.name})));
   const fill = (id, chosen) => byId(id).replaceChildren(...choices.map(({run, serial, name}) => element('option', {value: name, selected: name === chosen}, `${name} (${serial || t('no serial number')})${run.simulated ? ` ${t('SIMULATED')}` : ''}`)));
   fill('compare-a', first || choices[1]?.name);

@@ -1,15 +1,15 @@
-// What the program says in English, in the language of the page where it has words for it: by the table of the certificates and
-// by that of the console, "{}" where a value stands. What has no words there stays English, and is marked so.
+// Translates English texts of the program into the language of the page, by the tables of the certificates and of the console
+// with "{}" for a value. A text without an entry stays English, and is marked as such.
 import {language} from '/language.js';
 
 const load = async (name) => (await import(name)).default;
 const table = language === 'de' ? {...await load('/certificate_de.js'), ...await load('/program_de.js')} : {};
 const templates = Object.entries(table).filter(([english]) => english.includes('{}') && /[a-z]{2}/i.test(english))
   .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replaceAll('{}', '(.+?)')}$`), said}))
-  .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The one that says most.
+  .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The longest pattern first.
 const known = new Map();
 
-// A value is a number, a name, a sentence of its own or several; null: it is English.
+// Translates a value: a number, a name, or one or more sentences; null: an English text without an entry.
 function valueSaid(value) {
   const whole = translated(value);
   if (whole !== null || !value.includes('; ')) return whole ?? (/[a-z]{3,} [a-z]{3,}/.test(value) ? null : value);
@@ -27,10 +27,10 @@ function byTemplate(words) {
   return null;
 }
 
-// Null: there are no words for it.
+// The translation of a text; null: there is none.
 export function translated(words) {
   if (!known.has(words)) {
-    known.set(words, null);  // Also while it is looked for.
+    known.set(words, null);  // Also during the search, which is recursive.
     let said = table[words] ?? byTemplate(words);
     if (said === null && words.includes('; ')) {
       const parts = words.split('; ').map(translated);
@@ -42,7 +42,7 @@ export function translated(words) {
   return known.get(words);
 }
 
-// Of sentences that are joined, each in the language that there is.
+// An element with a text. Each of several joined sentences is translated if possible, else English.
 export function said(words, {capital = false} = {}) {
   const written = (text) => (capital && text ? text[0].toUpperCase() + text.slice(1) : text);
   const holder = document.createElement('span'), all = language === 'en' ? null : translated(words);
@@ -50,7 +50,7 @@ export function said(words, {capital = false} = {}) {
     holder.append(written(all));
     return holder;
   }
-  // "instrument: fault: detail; what to do": parts at even places, what stands between them at odd ones.
+  // "instrument: fault: detail; what to do": the parts have even indices, the separators odd ones.
   const parts = language === 'en' ? [words] : words.split(/(; |: )/);
   const inEnglish = (text) => { const part = document.createElement('span'); part.lang = 'en'; part.append(text); return part; };
   const mixed = parts.map((part, i) => (i % 2 ? part : translated(part)));

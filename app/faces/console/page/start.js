@@ -1,5 +1,5 @@
-// The start form: which item, by whom, by which plan; what is predicted; warnings before the start. It stands in the dialog that
-// asks whether to start, and knows nothing that the console has not said.
+// The start form: item, operator, plan, predictions, and warnings before the start. It is shown in the dialog that asks whether to
+// start, and contains nothing that the console has not stated.
 import {duration, element, small, DASH} from '/text.js';
 import {said} from '/said.js';
 import {fetched} from '/link.js';
@@ -7,7 +7,7 @@ import {withoutMissing} from '/items.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
-// What people read here and that has no values in it.
+// The texts without values.
 const TEXT = {
   choose: t('From the register, or type or scan its serial number'), typed: t('as typed below'),
   serial: t('Serial number'), model: t('Model'), maker: t('Maker'), customer: t`Customer's number`,
@@ -21,14 +21,14 @@ const TEXT = {
   reading: t('Reading the bench file, predicting'), asBench: t('as the bench file'),
 };
 const SYMBOLS = {s: t('s (sensitivity, relative)'), off: t('off-diagonal, relative to s'), O: t('O (offset), relative to s'), phi: t('phi (angles between the outputs)')};
-const QUIET_MS = 300;  // After the last key, before the console is asked.
+const QUIET_MS = 300;  // Delay from the last key to the request to the console.
 
 const megabytes = (bytes) => (bytes === null ? DASH : bytes > 1e10 ? `${(bytes / 1e9).toFixed(0)} GB` : `${(bytes / 1e6).toFixed(0)} MB`);
 // "1.2e-5": two significant digits, however small.
 const scientific = (value, unit) => (value === null ? DASH : `${value >= 0.01 ? small(value) : value.toExponential(1).replace('-', '−')}${unit ? ` ${unit}` : ''}`);
 
 export class StartForm {
-  // pace: simulated time over real time; 1 for real instruments. about: of the item that the form begins with, e.g. of a queue.
+  // pace: simulated time over real time; 1 for real instruments. about: initial values of fields, e.g. {runs: 1} for the queue.
   constructor(pace, about = {}) {
     this.pace = pace;
     this.fields = {maker: '', model: '', serial_number: '', customer_number: '', steps: '', dwell_readings: '', estimator: '', ...about};
@@ -36,7 +36,7 @@ export class StartForm {
     this.answer = null;
   }
 
-  // Puts the form into `holder`; `yes` is the button that can be pressed when all is known and nothing refuses.
+  // Puts the form into `holder`. The button `yes` is enabled when the console has answered and reports no problem.
   open(holder, yes) {
     this.yes = yes;
     yes.disabled = true;
@@ -62,7 +62,7 @@ export class StartForm {
     this.facts = element('dl', {id: 'start-facts'});
     this.state = element('p', {role: 'status', id: 'start-state'}, TEXT.reading);
     this.notices = element('div', {id: 'start-notices', role: 'status'});
-    // Of one item, which; of several the bench file says which, and a person whether all of them must be there.
+    // A single item is chosen here. Several items are those of the bench file; a person chooses whether missing ones are left out.
     this.oneItem = [labelled(TEXT.choose, this.items), labelled(TEXT.serial, this.inputs.serial_number), labelled(TEXT.customer, this.inputs.customer_number),
       labelled(TEXT.maker, this.inputs.maker), labelled(TEXT.model, this.inputs.model)];
     this.withoutMissing = withoutMissing('start-without-missing');
@@ -73,7 +73,7 @@ export class StartForm {
         labelled(TEXT.steps, this.steps), labelled(TEXT.readings, this.inputs.dwell_readings), labelled(TEXT.estimator, this.estimators), ...(this.inputs.runs ? [labelled(TEXT.runs, this.inputs.runs)] : [])),
       this.state, this.notices, this.facts);
     holder.replaceChildren(this.holder);
-    // A scanner types, and ends with Enter, wherever the focus is: it neither starts nor cancels anything.
+    // A scanner types a text and Enter wherever the focus is; its Enter neither starts nor cancels anything.
     const dialog = holder.closest('dialog');
     this.scan = (event) => {
       if (event.ctrlKey || event.altKey || event.metaKey || event.isComposing) return;
@@ -91,7 +91,7 @@ export class StartForm {
     this.ask();
   }
 
-  // A serial number is complete: what the register knows of it is taken.
+  // A serial number is complete: the data of the register on it are taken.
   entered() {
     const serial = this.fields.serial_number.trim();
     const known = (this.answer?.register?.items ?? []).find((item) => item.serial_number === serial);
@@ -129,7 +129,7 @@ export class StartForm {
     this.yes.disabled = true;
     this.state.textContent = TEXT.reading;
     const first = this.answer === null, {serial_number: serial, ...others} = this.fields;
-    const {runs, ...fields} = serial ? this.fields : {...others, maker: '', model: '', customer_number: ''};  // Without one, as the bench file says.
+    const {runs, ...fields} = serial ? this.fields : {...others, maker: '', model: '', customer_number: ''};  // No serial number: the item of the bench file.
     let answer;
     try {
       const response = await fetched(`/start-form?${new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''))}`);
@@ -197,7 +197,7 @@ export class StartForm {
     this.facts.replaceChildren(...facts);
   }
 
-  // What is asked for: all of it as the person has seen it.
+  // The choice for the request, exactly as the person has seen it.
   choice() {
     const {item, plan, bench_sha256: seen, form} = this.answer;
     const wanted = {steps: plan.steps, dwell_readings: plan.dwell_readings, estimator: plan.estimator, bench_sha256: seen, form};

@@ -1,7 +1,7 @@
 import {t} from '/language.js';
 
-// What the bench is doing, in one word, and what a person should know with it: a pure function of what the server has said.
-// kind: colour and icon of the tab (favicon-KIND.svg). english: what the program says further, in English alone.
+// The activity of the bench in one word, with a sentence and advice for people: a pure function of the server's messages.
+// kind: colour and icon of the tab (favicon-KIND.svg). english: a further text of the program, in English only.
 const PHASES = {
   homing: [t('Homing'), 'busy', 'homing', t('The axes are homed')],
   'warming up': [t('Warming up'), 'busy', 'settling', t('Warming up')],
@@ -14,7 +14,7 @@ const PHASES = {
   parking: [t('Parking'), 'busy', 'moving', t('The stage goes to zero')],
 };
 
-// What to do first when an instrument fails, by the fault that its driver reports.
+// The first action when an instrument fails, by the fault that its driver reports.
 const ADVICE = {
   refused: t('Read what the instrument answered, and correct it there or in the bench file.'),
   'no reply': t('Check power and cable of the instrument; then check the bench.'),
@@ -32,7 +32,7 @@ const made = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sent
 
 export const canMove = (activity) => ['running', 'checking', 'jogging'].includes(activity.activity);
 
-// view: {known, activity, phase, run, ended, fault, bench}, each as the messages have them; known: something was said at all.
+// Arguments are as in the messages. known: a message has arrived.
 export function stateOf({known, activity, phase, ended, fault, bench}) {
   if (!known) return made(t('No contact'), 'lost', 'lost', t('Nothing is known of the bench yet'), {todo: t('Use the switch on the stage if it must stop now.'), known: false});
   if (bench && bench.state !== 'on') {

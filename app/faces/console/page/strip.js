@@ -1,15 +1,15 @@
-// The strip of single readings. Of several items it is that of one: the one that is chosen, else the first that takes part.
+// The strip of single readings. It shows one of several items: the chosen one, else the first that takes part.
 import {byId, element, number, signed, DASH} from '/text.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 import {t} from '/language.js';
 
-const GROUPS = 400;  // As many as the console keeps, of all items.
+const GROUPS = 400;  // Groups of all items, as many as the console keeps.
 
 export class Strip {
   // changed: called when another item is chosen.
   constructor(changed) {
     this.groups = [];
-    this.items = [];  // As the messages have them; empty: there is one, or it is not known which there are.
+    this.items = [];  // As in the messages; empty: a single item, or the items are unknown.
     this.chosen = null;
     this.plot = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
       datasets: OUTPUTS.map((name) => series(name, name))});
@@ -22,7 +22,7 @@ export class Strip {
   }
 
   receive(group) {
-    // The readings of this item have begun again: what was before belongs to another axis of time.
+    // The readings of this item have started again: earlier groups have another zero of time.
     const last = this.groups.findLast(({item}) => item === group.item);
     if (last && last.stream !== group.stream) this.groups = this.groups.filter(({item}) => item !== group.item);
     this.groups.push(group);

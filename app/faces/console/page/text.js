@@ -6,19 +6,19 @@ export function number(value, digits, unit = '') {
   return value.toFixed(digits) + (unit ? ` ${unit}` : '');
 }
 
-// Signs stand under each other.
+// With a sign, so that the signs in a column are aligned.
 export function signed(value, digits, unit = '') {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
   const shown = Math.abs(value).toFixed(digits);
   return (value < 0 && Number(shown) !== 0 ? '−' : '+') + shown + (unit ? ` ${unit}` : '');
 }
 
-// So many decimals give two significant digits of a value, an uncertainty as a rule.
+// The number of decimals that gives two significant digits of a value, usually an uncertainty.
 export function decimals(value) {
   return value !== 0 && Number.isFinite(value) ? Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(Math.abs(value))))) : 6;
 }
 
-// Two significant digits: what an uncertainty deserves.
+// A value with two significant digits, as for an uncertainty.
 export function small(value, unit = '') {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
   return value.toFixed(decimals(value)).replace('-', '−') + (unit ? ` ${unit}` : '');
@@ -57,7 +57,7 @@ export function table(caption, head, rows) {
       ...row.map((cell, i) => (i === 0 ? element('th', {scope: 'row'}, cell) : element('td', {class: kind(i), 'data-heading': head[i]}, cell)))))));
 }
 
-// What is wider or longer than its place, and can be scrolled with the keyboard.
+// A region for contents larger than their place, which can be scrolled with the keyboard.
 export const scrollable = (kind, name, content) => element('div', {class: kind, tabindex: 0, role: 'region', 'aria-label': name}, content);
 
 export const byId = (id) => document.getElementById(id);

@@ -1,5 +1,5 @@
-// Times of one kind on the whole page: UTC, or local; one switch. Each time is an element <time> that says its moment and its
-// form, and is written again when the switch is turned.
+// All times on the page are of one kind, UTC or local, chosen by one switch. Each time is an element <time> with its moment and
+// its form, and is written again when the switch is used.
 import {element, DASH} from '/text.js';
 import {t} from '/language.js';
 

@@ -1,7 +1,7 @@
-// A part of a plot: chosen by dragging over it, or with the keyboard; double click or 0 shows all again.
+// Zooms a plot: a part is chosen by dragging over it, or with the keyboard; a double click or 0 shows all again.
 import {t} from '/language.js';
 
-const NEAREST = 1e-3;  // of the whole
+const NEAREST = 1e-3;  // narrowest part, relative to the whole
 
 export const shade = {
   id: 'shade',

@@ -78,7 +78,7 @@ class Bench {
   void hold();   ///< The stage stands still after the current angle.
   void go_on();  ///< After hold().
   /// Halts the stage at once and ends the run, which can be resumed. Waits for the answer to the halt.
-  /// Nothing happens where nothing runs.
+  /// Does nothing if nothing runs.
   void halt();
 
  private:

@@ -18,7 +18,7 @@ class Certificate {
   explicit Certificate(const std::filesystem::path& path);
 
   std::string number() const;
-  std::string date() const;  ///< ISO 8601, of the measurement.
+  std::string date() const;  ///< Date of the measurement, ISO 8601.
   std::string item() const;  ///< Maker, model, serial number.
   std::string serial_number() const;
   std::string response_unit() const;

@@ -15,7 +15,7 @@
 #include "drivers/registry.h"
 
 namespace abcal::v1 {
-/// Names of all drivers, those that were added included.
+/// Names of all drivers, including those that were added.
 std::vector<std::string> stage_driver_list();
 std::vector<std::string> accelerometer_driver_list();
 

@@ -13,8 +13,8 @@ namespace abcal::v1 {
 struct StageErrors {
   double zx = 0.0, zy = 0.0;        ///< Horizontal components of the Z axis at rest (1).
   double xz = 0.0;                  ///< Vertical component of the X axis (1).
-  double initial_turn_z_deg = 0.0;  ///< d2: of the turn of Z before experiment 2.
-  double initial_turn_x_deg = 0.0;  ///< d3: of the turn of X before experiment 3.
+  double initial_turn_z_deg = 0.0;  ///< d2: error of the turn of Z before experiment 2.
+  double initial_turn_x_deg = 0.0;  ///< d3: error of the turn of X before experiment 3.
   double mean_step_x_deg = 0.0;     ///< F_X
   double mean_step_z_deg = 0.0;     ///< F_Z
 };

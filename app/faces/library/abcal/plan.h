@@ -35,7 +35,7 @@ struct PlanQuestion {
 
 struct PlanAnswer {
   std::optional<PredictedPlan> plan;
-  std::vector<std::string> out_of_reach;  ///< Reasons if there is no plan.
+  std::vector<std::string> out_of_reach;  ///< Reasons if no plan is found.
 };
 
 /// The shortest plan that reaches the wanted uncertainties, or the best one in a given time, as `abcal plan

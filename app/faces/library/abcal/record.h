@@ -66,7 +66,7 @@ class Record {
   double g_loc_mps2() const;      ///< NaN: not known.
 
   std::vector<int> experiment() const;
-  /// These views point into the record and remain valid as long as it or a copy of it exists.
+  /// These views point into the record and remain valid as long as this or a copy exists.
   Column alpha_deg() const;
   Rows readings() const;
   std::vector<double> time_s() const;                  ///< NaN: not known.

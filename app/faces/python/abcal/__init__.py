@@ -144,7 +144,7 @@ async def _dwells(self, run_file=None, *, resume=False):
         leaving.set()
         if waiting is not None:
             waiting.cancel()
-        # The thread that measures cannot be cancelled: it is told to halt, and its end is waited for.
+        # The measuring thread cannot be cancelled: halt it, and wait for its end.
         while not run.done():
             self.halt()
             await _asyncio.wait({run}, timeout=0.02)
