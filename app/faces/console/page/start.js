@@ -117,7 +117,9 @@ export class StartForm {
     this.ask();
   }
 
+  // An answer to an earlier state of the form must not enable the button: it would start a run without what was typed since.
   askSoon() {
+    ++this.asked;
     this.yes.disabled = true;
     clearTimeout(this.soon);
     this.soon = setTimeout(() => this.ask(), QUIET_MS);
