@@ -44,6 +44,29 @@ step('takes a serial number from a scanner, which types and ends with Enter', as
   await page.locator(yes).waitFor();
 });
 
+step('an answer to what was typed before enables nothing', async (page) => {
+  await page.evaluate(() => {
+    const asked = globalThis.fetch;
+    globalThis.fetch = async (...request) => {
+      const response = await asked(...request);
+      if (String(request[0]).startsWith('/start-form')) await new Promise((resolve) => { globalThis.letGo = resolve; });
+      return response;
+    };
+    globalThis.fetchAsBefore = () => { globalThis.fetch = asked; };
+  });
+  await page.locator('#start-steps').selectOption('36');
+  await page.waitForFunction(() => globalThis.letGo);
+  await page.locator('#start-customer-number').fill('INV-41');
+  const isDisabled = await page.evaluate(async () => {
+    globalThis.fetchAsBefore();
+    globalThis.letGo();
+    await new Promise((resolve) => { setTimeout(resolve, 50); });
+    return document.getElementById('confirm-yes').disabled;
+  });
+  assert.ok(isDisabled, 'the answer does not contain the text that was typed since');
+  await page.locator(yes).waitFor();
+});
+
 step('two presses start one run, of the item and the plan that were chosen', async (page) => {
   await page.locator('#start-steps').selectOption('72');
   await page.locator('#start-customer-number').fill('INV-42');
