@@ -1,16 +1,16 @@
-// abcal-guard: holds the ports of a stage and a chamber for the program that moves them, halts the axes and
-// leaves the chamber as its policy says if that program dies (app/operate/bench/halt_guard.h). Started by
-// abcal, with one end of a socket as descriptor 3.
+// abcal-guard: opens the ports of a stage and a chamber for the program that moves them, passes the bytes on,
+// and halts the axes and leaves the chamber as its policy says if that program dies or hangs
+// (app/operate/bench/guard_service.h). Started by abcal, with one end of a socket as descriptor 3.
 #include <csignal>
 #include <exception>
 #include <string>
 #include <string_view>
-#include <vector>
 
 #include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/version.h"
-#include "app/operate/bench/halt_guard.h"
+#include "app/operate/bench/guard_service.h"
+#include "drivers/wire/open_stream.h"
 
 int main(int argc, char** argv) {
   if (argc == 2 && std::string_view(argv[1]) == "--version") {
@@ -20,12 +20,17 @@ int main(int argc, char** argv) {
   // Signals that end the owner (Ctrl-C, a closed terminal, the end of a service) must not end the guard as
   // well.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) std::signal(number, SIG_IGN);
-  constexpr int kSocket = 3;
   try {
     abcal::RealClock clock;
-    const std::vector<std::string> words = abcal::guard_until_owner_dies(kSocket, clock);
-    for (const std::string& each : words)
-      abcal::print_log("abcal-guard: the program that moved the bench has died; {}\n", each);
+    abcal::GuardService::Options options;
+    options.socket = 3;
+    options.open = [&clock](const std::string& port, const abcal::wire::SerialSettings& settings) {
+      return abcal::wire::open_stream(port, settings, clock);
+    };
+    options.uptime = abcal::uptime;
+    abcal::GuardService guard(clock, std::move(options));
+    for (const std::string& words : guard.serve())
+      abcal::print_log("abcal-guard: the program that moved the bench has died; {}\n", words);
     return 0;
   } catch (const std::exception& error) {
     abcal::print_log("abcal-guard: {}\n", error.what());

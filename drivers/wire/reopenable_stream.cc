@@ -61,10 +61,4 @@ std::string ReopenableStream::name() const {
   return name_;
 }
 
-int ReopenableStream::descriptor() const {
-  const std::lock_guard lock(mutex_);
-  const auto* port = dynamic_cast<const PortDescriptor*>(port_.get());
-  return port == nullptr ? -1 : port->descriptor();
-}
-
 }  // namespace abcal::wire

@@ -5,13 +5,12 @@
 #include <mutex>
 
 #include "drivers/wire/byte_stream.h"
-#include "drivers/wire/port_descriptor.h"
 
 namespace abcal::wire {
 
 /// A stream whose port may vanish (a cable pulled, a hub reset) and be opened again. While it is gone all
 /// calls throw kLinkLost, as those of its port did.
-class ReopenableStream final : public ByteStream, public PortDescriptor {
+class ReopenableStream final : public ByteStream {
  public:
   /// Opens the port by the name in the bench file, so that one named by its USB identity is found again under
   /// any path. @throws InstrumentError kCannotOpen.
@@ -29,7 +28,6 @@ class ReopenableStream final : public ByteStream, public PortDescriptor {
   void discard_input() override;
   std::size_t dropped_bytes() const override;
   std::string name() const override;
-  int descriptor() const override;
 
  private:
   std::shared_ptr<ByteStream> port() const;

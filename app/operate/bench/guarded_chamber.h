@@ -2,19 +2,22 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 
-#include "app/operate/bench/port_handover.h"
+#include "app/operate/bench/halt_guard.h"
 #include "drivers/instrument/thermal_chamber.h"
 
 namespace abcal {
 
-/// A chamber that hands its port to a guard before its first set point, so that it is left as its policy says
-/// if this program dies. A missing guard is a warning, not an error.
+/// A chamber on a port that a guard has opened. Before its first set point the guard learns how to leave it
+/// as its policy says, if this program dies or gives no sign of life for a minute.
 class GuardedChamber final : public ThermalChamber {
  public:
-  GuardedChamber(std::unique_ptr<ThermalChamber> chamber, PortHandover handover, ChamberPolicy policy)
-      : chamber_(std::move(chamber)), handover_(std::move(handover)), policy_(policy) {}
+  /// @param port  InstrumentPort::name
+  GuardedChamber(std::unique_ptr<ThermalChamber> chamber, std::shared_ptr<HaltGuard> guard, std::string port,
+                 ChamberPolicy policy)
+      : chamber_(std::move(chamber)), guard_(std::move(guard)), port_(std::move(port)), policy_(policy) {}
 
   ChamberInfo identify() override { return chamber_->identify(); }
   void set_temperature(double degc, std::optional<double> rate_k_per_min) override;
@@ -28,9 +31,10 @@ class GuardedChamber final : public ThermalChamber {
 
  private:
   std::unique_ptr<ThermalChamber> chamber_;
-  PortHandover handover_;
+  std::shared_ptr<HaltGuard> guard_;
+  const std::string port_;
   ChamberPolicy policy_;
-  bool told_missing_ = false;
+  bool is_held_ = false;  ///< The guard has the recipe.
 };
 
 }  // namespace abcal

@@ -4,41 +4,90 @@
 
 #include <utility>
 
-#include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
+#include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
+namespace {
 
-void GuardedStage::have_guard() noexcept {
+/// The guard closes the port first and then says why.
+constexpr std::chrono::milliseconds kNewsTime{500};
+
+}  // namespace
+
+/// Makes a call. One that fails because the guard has halted the stage throws that reason.
+template <class Call>
+auto GuardedStage::guarded(const Call& call) {
   try {
-    // If the port is not open, the motion that follows fails with the reason.
-    if (!handover_.ensure([this] { return stage_->halt_recipes(); })) return;
-    note(
-        fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if "
-                    "this program dies.",
-                    handover_.guard_process(), handover_.port()));
-  } catch (const std::exception& error) {
-    if (std::exchange(told_missing_, true)) return;
-    const std::string text =
-        fmt::format("Nobody halts the {} if this program dies ({}): keep the stage's own switch at hand.",
-                    handover_.port(), error.what());
-    print_warning(text);
-    note(text);
+    return call();
+  } catch (const InstrumentError& error) {
+    if (error.fault() == Fault::kLinkLost)
+      if (const std::string why = guard_->halted_because(kNewsTime); !why.empty())
+        throw InstrumentError("stage", Fault::kStalled, why);
+    throw;
   }
 }
 
-void GuardedStage::note(std::string text) {
-  events_.push_back({RealClock().now(), std::string(kGuardEvent), std::move(text)});
+/// Before the first motion of a driver: the guard learns how to halt it.
+void GuardedStage::prepare() {
+  if (is_held_) return;
+  std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+  for (const HaltRecipe& recipe : recipes)
+    for (std::size_t k = 0; k < 2; ++k) axes_[k] = axes_[k] || recipe.axes[k];
+  guard_->hold(port_, std::move(recipes));
+  is_held_ = true;
+  events_.push_back(
+      {RealClock().now(), std::string(kGuardEvent),
+       fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its "
+                   "axes if this program dies or hangs.",
+                   guard_->process(), port_)});
+}
+
+StageInfo GuardedStage::identify() {
+  return guarded([&] { return stage_->identify(); });
 }
 
 void GuardedStage::home(StageAxis axis) {
-  have_guard();
-  stage_->home(axis);
+  guarded([&] {
+    prepare();
+    guard_->begin_motion(axis);
+    stage_->home(axis);
+  });
 }
 
 void GuardedStage::move_to(StageAxis axis, Angle target) {
-  have_guard();
-  stage_->move_to(axis, target);
+  guarded([&] {
+    prepare();
+    guard_->begin_motion(axis);
+    stage_->move_to(axis, target);
+  });
+}
+
+MotionState GuardedStage::motion_state(StageAxis axis) {
+  const MotionState state = guarded([&] { return stage_->motion_state(axis); });
+  if (state == MotionState::kStopped) guard_->end_motion(axis);
+  return state;
+}
+
+Angle GuardedStage::encoder_angle(StageAxis axis) {
+  return guarded([&] { return stage_->encoder_angle(axis); });
+}
+
+/// By the driver, over the guard; an axis that does not acknowledge is halted by the guard, which goes on
+/// until the controller confirms it.
+HaltReport GuardedStage::halt_axes() noexcept {
+  HaltReport report = stage_->halt_axes();
+  bool is_acknowledged = true;
+  for (const StageAxis axis : kStageAxes) {
+    const bool is_halted = report.axes[index(axis)] == AxisHalt::kHalted;
+    if (is_halted && axes_[index(axis)]) guard_->end_motion(axis);
+    is_acknowledged = is_acknowledged && (is_halted || !axes_[index(axis)]);
+  }
+  if (!is_held_ || is_acknowledged) return report;
+  const HaltReport by_guard = guard_->halt("the stage did not acknowledge the halt by its driver");
+  for (std::size_t k = 0; k < 2; ++k)
+    if (axes_[k]) report.axes[k] = by_guard.axes[k];
+  return report;
 }
 
 std::vector<StageEvent> GuardedStage::take_events() {

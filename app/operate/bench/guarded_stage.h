@@ -1,44 +1,50 @@
 #pragma once
 
+#include <array>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
-#include "app/operate/bench/port_handover.h"
+#include "app/operate/bench/halt_guard.h"
 #include "drivers/instrument/rotation_stage.h"
 
 namespace abcal {
 
-/// Kind of the events that report whether a guard protects a stage.
+/// Kind of the events that say whether a guard stands behind a stage.
 inline constexpr std::string_view kGuardEvent = "guard";
 
-/// A stage on one port that hands the port to a guard before its first motion. A missing guard is an event,
-/// not an error: the stage works without it.
+/// A stage on one port that a guard has opened. The guard knows how to halt it before it moves, and which
+/// axis may be moving. After a halt by the guard each call throws kStalled with its reason: a person
+/// continues.
 class GuardedStage final : public RotationStage {
  public:
-  GuardedStage(std::unique_ptr<RotationStage> stage, PortHandover handover)
-      : stage_(std::move(stage)), handover_(std::move(handover)) {}
+  /// @param port  InstrumentPort::name
+  GuardedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<HaltGuard> guard, std::string port)
+      : stage_(std::move(stage)), guard_(std::move(guard)), port_(std::move(port)) {}
 
-  StageInfo identify() override { return stage_->identify(); }
+  StageInfo identify() override;
   void home(StageAxis axis) override;
   void move_to(StageAxis axis, Angle target) override;
-  MotionState motion_state(StageAxis axis) override { return stage_->motion_state(axis); }
-  Angle encoder_angle(StageAxis axis) override { return stage_->encoder_angle(axis); }
-  bool halt() noexcept override { return stage_->halt(); }
-  HaltReport halt_axes() noexcept override { return stage_->halt_axes(); }
+  MotionState motion_state(StageAxis axis) override;
+  Angle encoder_angle(StageAxis axis) override;
+  bool halt() noexcept override { return halt_axes().all_halted(); }
+  HaltReport halt_axes() noexcept override;
   std::vector<HaltRecipe> halt_recipes() override { return stage_->halt_recipes(); }
   Clock::Duration reply_deadline() const override { return stage_->reply_deadline(); }
   std::vector<StageEvent> take_events() override;
 
  private:
-  void have_guard() noexcept;
-  void note(std::string text);
+  template <class Call>
+  auto guarded(const Call& call);
+  void prepare();
 
   std::unique_ptr<RotationStage> stage_;
-  PortHandover handover_;
-  bool told_missing_ = false;
+  std::shared_ptr<HaltGuard> guard_;
+  const std::string port_;
+  bool is_held_ = false;        ///< The guard has the recipes.
+  std::array<bool, 2> axes_{};  ///< Axes behind the port, by index(StageAxis).
   std::vector<StageEvent> events_;
 };
 

@@ -2,224 +2,387 @@
 
 #include <fmt/format.h>
 #include <poll.h>
+#include <signal.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
-#include <cstdint>
+#include <cstdlib>
 #include <cstring>
-#include <map>
-#include <nlohmann/json.hpp>
-#include <optional>
 #include <stdexcept>
-#include <thread>
 #include <utility>
 
 #include "app/ground/system/detached_process.h"
 #include "app/ground/system/helper_program.h"
-#include "drivers/instrument/rotation_stage.h"
+#include "app/ground/system/output.h"
+#include "app/operate/bench/guard_log.h"
+#include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/halt_recipe.h"
+#include "drivers/wire/port_held.h"
+#include "drivers/wire/socket_stream.h"
 
 namespace abcal {
 namespace {
 
-using Json = nlohmann::json;
+using namespace std::chrono_literals;
 
-/// A packet of the socket; recipes are a few hundred bytes each.
-constexpr std::size_t kLongestPacket = 64 * 1024;
-constexpr int kAnswerTimeMs = 5000;
-/// Time in which the guard tries to have a halt acknowledged.
-constexpr std::chrono::seconds kHaltTime{20};
-
-// Bytes of a recipe need not be UTF-8: MessagePack, not text.
-
-Json recipe_json(const HaltRecipe& recipe) {
-  Json questions = Json::array();
-  for (const HaltRecipe::Question& question : recipe.questions)
-    questions.push_back({{"bytes", question.bytes},
-                         {"reply", question.reply},
-                         {"standing", question.standing},
-                         {"listen_ms", question.listen.count()}});
-  return {{"driver", recipe.driver},
-          {"x", recipe.axes[0]},
-          {"z", recipe.axes[1]},
-          {"end_partial", recipe.end_partial},
-          {"stop", recipe.stop},
-          {"questions", std::move(questions)},
-          {"reply_time_ms", recipe.reply_time.count()},
-          {"reply_end", recipe.reply_end},
-          {"binary", recipe.binary},
-          {"chamber", recipe.chamber}};
-}
-
-HaltRecipe recipe_from(const Json& json) {
-  HaltRecipe recipe;
-  recipe.driver = json.at("driver").get<std::string>();
-  recipe.axes = {json.at("x").get<bool>(), json.at("z").get<bool>()};
-  recipe.end_partial = json.at("end_partial").get<std::string>();
-  recipe.stop = json.at("stop").get<std::string>();
-  recipe.reply_time = std::chrono::milliseconds(json.at("reply_time_ms").get<std::int64_t>());
-  recipe.reply_end = json.at("reply_end").get<std::string>();
-  recipe.binary = json.at("binary").get<bool>();
-  recipe.chamber = json.at("chamber").get<std::string>();
-  for (const Json& each : json.at("questions"))
-    recipe.questions.push_back({each.at("bytes").get<std::string>(), each.at("reply").get<std::string>(),
-                                each.at("standing").get<std::string>(),
-                                std::chrono::milliseconds(each.at("listen_ms").get<std::int64_t>())});
-  return recipe;
-}
-
-std::vector<std::uint8_t> packet_of(const GuardedPort& port) {
-  Json recipes = Json::array();
-  for (const HaltRecipe& recipe : port.recipes) recipes.push_back(recipe_json(recipe));
-  return Json::to_msgpack({{"port", port.name}, {"recipes", std::move(recipes)}});
-}
-
-/// Room for the one descriptor that may come with a packet.
-struct Ancillary {
-  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> bytes{};
-};
-
-bool send_packet(int socket, const std::vector<std::uint8_t>& packet, int descriptor) {
-  iovec data{const_cast<std::uint8_t*>(packet.data()), packet.size()};
-  Ancillary ancillary;
-  msghdr message{};
-  message.msg_iov = &data;
-  message.msg_iovlen = 1;
-  message.msg_control = ancillary.bytes.data();
-  message.msg_controllen = ancillary.bytes.size();
-  cmsghdr* header = CMSG_FIRSTHDR(&message);
-  header->cmsg_level = SOL_SOCKET;
-  header->cmsg_type = SCM_RIGHTS;
-  header->cmsg_len = CMSG_LEN(sizeof(int));
-  std::memcpy(CMSG_DATA(header), &descriptor, sizeof(int));
-  return ::sendmsg(socket, &message, MSG_NOSIGNAL) == static_cast<ssize_t>(packet.size());
-}
-
-struct Packet {
-  std::vector<std::uint8_t> bytes;
-  int descriptor = -1;  ///< -1: the packet had none.
-};
-
-/// Waits for the next packet. @return nothing at the end of the connection
-std::optional<Packet> receive_packet(int socket) {
-  std::vector<std::uint8_t> bytes(kLongestPacket);
-  iovec data{bytes.data(), bytes.size()};
-  Ancillary ancillary;
-  msghdr message{};
-  message.msg_iov = &data;
-  message.msg_iovlen = 1;
-  message.msg_control = ancillary.bytes.data();
-  message.msg_controllen = ancillary.bytes.size();
-  ssize_t count = 0;
-  do count = ::recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
-  while (count < 0 && errno == EINTR);
-  if (count <= 0) return std::nullopt;
-  bytes.resize(static_cast<std::size_t>(count));
-  Packet packet{std::move(bytes), -1};
-  for (cmsghdr* header = CMSG_FIRSTHDR(&message); header != nullptr; header = CMSG_NXTHDR(&message, header))
-    if (header->cmsg_level == SOL_SOCKET && header->cmsg_type == SCM_RIGHTS)
-      std::memcpy(&packet.descriptor, CMSG_DATA(header), sizeof(int));
-  return packet;
-}
-
-/// A port in the hands of the guard.
-struct HeldPort {
-  GuardedPort port;
-  int descriptor = -1;
-
-  std::string halt(Clock& clock) const {
-    wire::DescriptorStream stream(descriptor, port.name, clock);
-    std::string words;
-    for (const HaltRecipe& recipe : port.recipes) {
-      const bool halted = wire::carry_out(recipe, stream, clock, clock.now() + kHaltTime);
-      if (!recipe.chamber.empty())
-        words = halted ? recipe.chamber
-                       : "did not acknowledge its set point, is left as it is and may be heating or cooling";
-      for (const StageAxis axis : kStageAxes) {
-        if (!recipe.axes[index(axis)]) continue;
-        words += fmt::format("{}axis {}: {}", words.empty() ? "" : "; ", to_string(axis),
-                             halted ? "halted" : "did not acknowledge the halt, may be moving");
-      }
-    }
-    return fmt::format("{}: {}", port.name, words);
-  }
-};
+/// Longest silence of the guard while an axis may be moving.
+constexpr Clock::Duration kSilent = 500ms;
+/// Between two beats of the moving thread; its waits are sliced more finely.
+constexpr Clock::Duration kBeatInterval = 200ms;
+constexpr std::chrono::seconds kAnswerTime{5};
+/// To resolve a host and connect to it, on a slow network.
+constexpr std::chrono::seconds kOpenTime{15};
+/// To halt by the duplicates of a dead guard's descriptors, in addition to two replies.
+constexpr Clock::Duration kHaltMargin = 1s;
+constexpr const char* kGone = "its guard has ended";
 
 }  // namespace
+
+std::filesystem::path guard_folder() {
+  if (const char* folder = std::getenv("XDG_RUNTIME_DIR"); folder != nullptr && *folder != '\0')
+    return folder;
+  std::filesystem::path folder =
+      std::filesystem::temp_directory_path() / fmt::format("abcal-{}", ::geteuid());
+  ::mkdir(folder.c_str(), 0700);
+  struct stat status {};
+  // Another user may have made it, to listen in.
+  if (::lstat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode) || status.st_uid != ::geteuid() ||
+      (status.st_mode & 077) != 0)
+    return {};
+  return folder;
+}
+
+std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& question,
+                                       std::chrono::milliseconds longest) {
+  std::vector<nlohmann::json> answers;
+  const std::filesystem::path folder = guard_folder();
+  std::error_code error;
+  const std::string begin = fmt::format("abcal-guard-{}-", owner);
+  for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
+    const std::string path = entry.path().string();
+    sockaddr_un address{};
+    if (!entry.path().filename().string().starts_with(begin) || path.size() >= sizeof address.sun_path)
+      continue;
+    address.sun_family = AF_UNIX;
+    std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
+    const int socket = ::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    pollfd answer{.fd = socket, .events = POLLIN, .revents = 0};
+    if (::connect(socket, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 &&
+        send_guard_packet(socket, question) && ::poll(&answer, 1, static_cast<int>(longest.count())) == 1) {
+      try {
+        if (const auto packet = receive_guard_packet(socket)) answers.push_back(packet->json);
+      } catch (const nlohmann::json::exception&) {  // Not a guard's answer.
+      }
+    }
+    ::close(socket);
+  }
+  return answers;
+}
 
 HaltGuard::~HaltGuard() {
   end();
 }
 
-void HaltGuard::end() {
-  if (socket_ < 0) return;
-  const std::vector<std::uint8_t> at_rest = Json::to_msgpack({{"at_rest", true}});
-  if (::send(socket_, at_rest.data(), at_rest.size(), MSG_NOSIGNAL) > 0) {
-    pollfd ended{.fd = socket_, .events = POLLIN, .revents = 0};
-    ::poll(&ended, 1, kAnswerTimeMs);  // So that the next owner finds the ports free.
-  }
-  collect();
+pid_t HaltGuard::process() const {
+  const std::lock_guard lock(mutex_);
+  return process_;
 }
 
-void HaltGuard::collect() {
-  ::close(std::exchange(socket_, -1));
-  ::waitpid(std::exchange(process_, -1), nullptr, 0);
-}
-
-int HaltGuard::generation() {
-  if (socket_ >= 0) {
-    char byte = 0;
-    // The guard sends nothing unless it was given a port: an end of the connection means that it has died.
-    if (::recv(socket_, &byte, 1, MSG_DONTWAIT | MSG_PEEK) == 0) collect();
-  }
-  if (socket_ < 0) start();
+int HaltGuard::generation() const {
+  const std::lock_guard lock(mutex_);
   return generation_;
 }
 
+bool HaltGuard::is_alive() const {
+  const std::lock_guard lock(mutex_);
+  return alive_;
+}
+
 void HaltGuard::start() {
+  end();
   const ConnectedProcess guard =
       start_connected(helper_program("abcal-guard", "halting a stage whose program has died needs"));
-  process_ = guard.process;
-  socket_ = guard.socket;
-  ++generation_;
-}
-
-void HaltGuard::hold(const GuardedPort& port, int descriptor) {
-  (void)generation();
-  pollfd answer{.fd = socket_, .events = POLLIN, .revents = 0};
-  char taken = 0;
-  if (!send_packet(socket_, packet_of(port), descriptor) || ::poll(&answer, 1, kAnswerTimeMs) != 1 ||
-      ::recv(socket_, &taken, 1, 0) != 1)
-    throw std::runtime_error(fmt::format("the guard did not take over {}", port.name));
-}
-
-std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock) {
-  std::map<std::string, HeldPort> held;
-  while (const std::optional<Packet> packet = receive_packet(socket)) {
-    const Json json = Json::from_msgpack(packet->bytes);
-    if (json.contains("at_rest")) return {};
-    HeldPort port;
-    port.port.name = json.at("port").get<std::string>();
-    port.descriptor = packet->descriptor;
-    for (const Json& recipe : json.at("recipes")) port.port.recipes.push_back(recipe_from(recipe));
-    const auto before = held.find(port.port.name);
-    if (before != held.end()) ::close(before->second.descriptor);
-    held.insert_or_assign(port.port.name, std::move(port));
-    constexpr char kTaken = 1;
-    (void)::send(socket, &kTaken, 1, MSG_NOSIGNAL);
-  }
-  // One thread for each port: a port that does not answer must not delay the halt of the other axis.
-  std::vector<std::string> words(held.size());
   {
-    std::vector<std::jthread> threads;
-    for (const auto& [name, port] : held)
-      threads.emplace_back(
-          [&clock, &held_port = port, &word = words[threads.size()]] { word = held_port.halt(clock); });
+    const std::lock_guard lock(mutex_);
+    process_ = guard.process;
+    socket_ = guard.socket;
+    pidfd_ = static_cast<int>(::syscall(SYS_pidfd_open, guard.process, 0));
+    ++generation_;
+    alive_ = true;
+    heard_ = clock_.now();
+    beat_ = {};
+    halted_because_.clear();
   }
-  return words;
+  const std::filesystem::path folder = guard_folder(), log = state_folder();
+  // Several guards may belong to one program, one after the other.
+  static std::atomic<int> started = 0;
+  const std::string path =
+      folder.empty() ? "" : (folder / fmt::format("abcal-guard-{}-{}", ::getpid(), ++started)).string();
+  const Json introduction = {{"kind", to_guard::kOwner},
+                             {"words", fmt::format("{} (process {})", owner_, ::getpid())},
+                             {"log", log.empty() ? "" : (log / "motion.log").string()},
+                             {"listen", path}};
+  if (!send_guard_packet(socket_, introduction)) throw std::runtime_error("the guard does not answer");
+  watcher_ = std::jthread([this](const std::stop_token& stop) { watch(stop); });
+}
+
+void HaltGuard::end() {
+  pid_t process = -1;
+  {
+    const std::lock_guard lock(mutex_);
+    if (socket_ < 0) return;
+    if (alive_) (void)send_guard_packet(socket_, {{"kind", to_guard::kEnd}});
+    process = process_;
+  }
+  // The next owner finds the ports free: the guard's end is waited for, unless it still halts.
+  pollfd ended{.fd = pidfd_, .events = POLLIN, .revents = 0};
+  const bool has_ended = pidfd_ < 0 || ::poll(&ended, 1, std::chrono::milliseconds(kAnswerTime).count()) == 1;
+  watcher_ = {};
+  const std::lock_guard lock(mutex_);
+  alive_ = false;
+  ::close(std::exchange(socket_, -1));
+  if (pidfd_ >= 0) ::close(std::exchange(pidfd_, -1));
+  if (has_ended) ::waitpid(process, nullptr, 0);
+  process_ = -1;
+  for (const auto& [name, descriptor] : std::exchange(duplicates_, {})) ::close(descriptor);
+  recipes_.clear();
+}
+
+std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const std::string& port,
+                                                  const wire::SerialSettings& settings) {
+  const std::lock_guard starting(start_mutex_);
+  if (!is_alive()) start();
+  const auto opening = std::make_shared<Opening>();
+  std::future<GuardPacket> answered = opening->answer.get_future();
+  {
+    const std::lock_guard lock(mutex_);
+    openings_[name] = opening;
+    if (const auto old = duplicates_.find(name); old != duplicates_.end()) {
+      ::close(old->second);  // It would keep the port locked.
+      duplicates_.erase(old);
+    }
+    halted_because_.clear();
+    if (!send_guard_packet(socket_, to_json(PortRequest{name, port, settings})))
+      throw InstrumentError(port, Fault::kCannotOpen, kGone);
+  }
+  if (answered.wait_for(kOpenTime) != std::future_status::ready)
+    throw InstrumentError(port, Fault::kCannotOpen, "its guard does not answer");
+  const GuardPacket answer = answered.get();
+  if (answer.json.value("kind", "") != to_owner::kOpened) {
+    const std::string detail = answer.json.value("detail", kGone);
+    if (!answer.json.contains("fault")) throw std::invalid_argument(detail);
+    if (answer.json.value("held_by_guard", false)) throw wire::PortHeld(port, detail, {{"", "abcal-guard"}});
+    throw InstrumentError(answer.json.value("instrument", port),
+                          static_cast<Fault>(answer.json.at("fault").get<int>()), detail);
+  }
+  if (answer.descriptors.size() > 1) {
+    const std::lock_guard lock(mutex_);
+    duplicates_[name] = answer.descriptors[1];
+  }
+  return std::make_unique<wire::SocketStream>(answer.descriptors.at(0),
+                                              answer.json.at("port").get<std::string>(), clock_);
+}
+
+void HaltGuard::hold(const std::string& name, std::vector<HaltRecipe> recipes) {
+  Json list = Json::array();
+  for (const HaltRecipe& recipe : recipes) list.push_back(to_json(recipe));
+  std::unique_lock lock(mutex_);
+  recipes_[name] = std::move(recipes);
+  const int before = recipes_taken_;
+  const bool is_sent =
+      alive_ && send_guard_packet(
+                    socket_, {{"kind", to_guard::kRecipes}, {"name", name}, {"recipes", std::move(list)}});
+  if (!is_sent || !changed_.wait_for(lock, kAnswerTime, [&] { return recipes_taken_ > before || !alive_; }) ||
+      !alive_)
+    throw InstrumentError(name, Fault::kLinkLost, fmt::format("{}; without a guard nothing moves", kGone));
+}
+
+void HaltGuard::begin_motion(StageAxis axis) {
+  const std::lock_guard lock(mutex_);
+  if (!halted_because_.empty()) throw InstrumentError("stage", Fault::kStalled, halted_because_);
+  if (!alive_)
+    throw InstrumentError("stage", Fault::kLinkLost, fmt::format("{}; without a guard nothing moves", kGone));
+  moving_thread_ = std::this_thread::get_id();
+  beat_.may_move[index(axis)] = true;
+  if (!send_beat_locked("the command to move"))
+    throw InstrumentError("stage", Fault::kLinkLost,
+                          "its guard does not take beats; without one nothing moves");
+}
+
+void HaltGuard::end_motion(StageAxis axis) {
+  const std::lock_guard lock(mutex_);
+  if (!std::exchange(beat_.may_move[index(axis)], false)) return;
+  (void)send_beat_locked("");
+}
+
+void HaltGuard::drive_chamber() {
+  const std::lock_guard lock(mutex_);
+  moving_thread_ = std::this_thread::get_id();
+  beat_.chamber = true;
+  (void)send_beat_locked("");
+}
+
+void HaltGuard::beat(std::string_view awaits) noexcept {
+  try {
+    const std::lock_guard lock(mutex_);
+    if (!alive_ || moving_thread_ != std::this_thread::get_id()) return;
+    if (clock_.now() - beat_sent_ < kBeatInterval) return;
+    (void)send_beat_locked(awaits);
+  } catch (const std::exception&) {  // Memory is short: the guard halts if this goes on.
+  }
+}
+
+bool HaltGuard::send_beat_locked(std::string_view awaits) {
+  beat_.awaits = awaits;
+  beat_sent_ = clock_.now();
+  return alive_ && send_guard_packet(socket_, to_json(beat_));
+}
+
+HaltReport HaltGuard::halt(const std::string& why) noexcept {
+  try {
+    HaltReport report;
+    std::unique_lock lock(mutex_);
+    Clock::Duration longest = kHaltMargin;
+    std::array<bool, 2> wanted{};
+    for (const auto& [name, recipes] : recipes_) {
+      for (const HaltRecipe& recipe : recipes) {
+        longest = std::max<Clock::Duration>(longest, 2 * recipe.reply_time + 2 * kHaltMargin);
+        for (std::size_t k = 0; k < 2; ++k) wanted[k] = wanted[k] || recipe.axes[k];
+      }
+    }
+    confirmed_ = {};
+    const bool is_asked = alive_ && send_guard_packet(socket_, {{"kind", to_guard::kHalt}, {"why", why}});
+    const auto is_answered = [&] {
+      return !alive_ || ((!wanted[0] || confirmed_[0]) && (!wanted[1] || confirmed_[1]));
+    };
+    if (is_asked) (void)changed_.wait_for(lock, longest, is_answered);
+    if (!alive_) {
+      lock.unlock();
+      return halt_by_duplicates();
+    }
+    for (std::size_t k = 0; k < 2; ++k) {
+      if (!confirmed_[k].value_or(false)) continue;
+      report.axes[k] = AxisHalt::kHalted;
+      beat_.may_move[k] = false;
+    }
+    return report;
+  } catch (const std::exception&) {
+    return {};
+  }
+}
+
+/// In place of a guard that is dead or hangs.
+HaltReport HaltGuard::halt_by_duplicates() {
+  std::map<std::string, int> descriptors;
+  std::map<std::string, std::vector<HaltRecipe>> recipes;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [name, descriptor] : duplicates_) descriptors[name] = ::dup(descriptor);
+    recipes = recipes_;
+  }
+  HaltReport report;
+  for (const auto& [name, descriptor] : descriptors) {
+    wire::DescriptorStream stream(descriptor, name, clock_);
+    for (const HaltRecipe& recipe : recipes[name]) {
+      if (!recipe.chamber.empty()) continue;
+      const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
+      if (!wire::carry_out(recipe, stream, clock_, deadline)) continue;
+      for (std::size_t k = 0; k < 2; ++k)
+        if (recipe.axes[k]) report.axes[k] = AxisHalt::kHalted;
+    }
+    ::close(descriptor);
+  }
+  const std::lock_guard lock(mutex_);
+  for (std::size_t k = 0; k < 2; ++k)
+    if (report.axes[k] == AxisHalt::kHalted) beat_.may_move[k] = false;
+  return report;
+}
+
+std::string HaltGuard::halted_because(Clock::Duration longest_wait) const {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, longest_wait, [this] { return !halted_because_.empty(); });
+  return halted_because_;
+}
+
+// ---- Watching the guard
+
+void HaltGuard::watch(const std::stop_token& stop) {
+  constexpr int kTickMs = 50;
+  while (!stop.stop_requested()) {
+    std::array<pollfd, 2> waiting{pollfd{.fd = socket_, .events = POLLIN, .revents = 0},
+                                  pollfd{.fd = pidfd_, .events = POLLIN, .revents = 0}};
+    ::poll(waiting.data(), waiting.size(), kTickMs);
+    if ((waiting[0].revents & POLLIN) != 0) {
+      try {
+        if (auto packet = receive_guard_packet(socket_)) {
+          receive(*std::move(packet));
+          continue;  // All that it has said counts, before its silence does.
+        }
+      } catch (const Json::exception& error) {
+        print_warning(fmt::format("guard: a packet that is none: {}", error.what()));
+        continue;
+      }
+    }
+    const bool is_dead = waiting[0].revents != 0 || waiting[1].revents != 0;
+    bool is_silent = false, moves = false;
+    {
+      const std::lock_guard lock(mutex_);
+      moves = beat_.may_move[0] || beat_.may_move[1];
+      is_silent = moves && clock_.now() - heard_ > kSilent;
+    }
+    if (!is_dead && !is_silent) continue;
+    note_silence(is_dead ? "the guard of the stage has died" : "the guard of the stage does not answer");
+    return;
+  }
+}
+
+void HaltGuard::note_silence(const std::string& why) {
+  bool moves = false;
+  {
+    const std::lock_guard lock(mutex_);
+    alive_ = false;
+    moves = (beat_.may_move[0] || beat_.may_move[1]) && halted_because_.empty();
+    if (moves) halted_because_ = why + " while an axis was moving; this program halts the axes itself";
+    for (const auto& [name, opening] : std::exchange(openings_, {})) opening->answer.set_value({});
+  }
+  changed_.notify_all();
+  // One that hangs must not write to the ports again: from here on this program does.
+  ::kill(process_, SIGKILL);
+  if (!moves) return;
+  const HaltReport report = halt_by_duplicates();
+  print_error(fmt::format("stage: {}: {}", why, in_words(report)));
+}
+
+void HaltGuard::receive(GuardPacket packet) {
+  const std::string kind = packet.json.value("kind", "");
+  {
+    const std::lock_guard lock(mutex_);
+    heard_ = clock_.now();
+    if (kind == to_owner::kOpened || kind == to_owner::kFailed) {
+      const auto found = openings_.find(packet.json.value("name", ""));
+      if (found != openings_.end()) {
+        found->second->answer.set_value(std::move(packet));
+        openings_.erase(found);
+      }
+    } else if (kind == to_owner::kTaken) {
+      ++recipes_taken_;
+    } else if (kind == to_owner::kHalting) {
+      halted_because_ = "the guard halted the stage: " + packet.json.value("why", "");
+    } else if (kind == to_owner::kHalted) {
+      const bool is_confirmed = packet.json.value("confirmed", false);
+      for (const StageAxis axis : kStageAxes)
+        if (packet.json.value(axis == StageAxis::kX ? "x" : "z", false))
+          confirmed_[index(axis)] = is_confirmed;
+    }
+  }
+  changed_.notify_all();
 }
 
 }  // namespace abcal

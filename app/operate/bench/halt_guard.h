@@ -2,55 +2,128 @@
 
 #include <sys/types.h>
 
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <filesystem>
+#include <future>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
+#include "app/ground/system/real_clock.h"
+#include "app/operate/bench/guard_packets.h"
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/halt.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "drivers/wire/byte_stream.h"
+#include "drivers/wire/serial_port.h"
 
 namespace abcal {
 
-/// A port of a stage or of a chamber, as another process holds it.
-struct GuardedPort {
-  std::string name;  ///< For messages.
-  std::vector<HaltRecipe> recipes;
-};
-
-/// The owner's end of a guard: a process of its own (abcal-guard) that holds the descriptors of the ports of
-/// a stage and a chamber and does nothing with them until this process has died; then it halts the axes and
-/// leaves the chamber by the recipes.
-/// However this process dies, also by SIGKILL, the system closes its end of their socket, and the guard sees
-/// that. For one thread.
+/// The owner's end of a guard (GuardService, in a process of its own, abcal-guard). The guard opens the ports
+/// of a stage and a chamber and passes the bytes on. It halts the axes if this process dies or its moving
+/// thread gives no sign of life for 1 s while an axis may be moving. This end watches the guard in turn:
+/// while an axis may be moving and the guard is dead or silent for 0.5 s, the axes are halted over duplicates
+/// of the ports' descriptors.
+///
+/// Functions may be called from any thread.
 class HaltGuard {
  public:
-  HaltGuard() = default;
-  /// Tells the guard that the stage is at rest, and waits until it has released the ports and ended.
+  /// @param owner  who moves the bench, for messages of the guard: "abcal run bench.toml"
+  explicit HaltGuard(std::string owner) : owner_(std::move(owner)) {}
+  /// The stage is at rest: the guard lets go of the ports and ends, which is waited for.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
   HaltGuard& operator=(const HaltGuard&) = delete;
 
-  /// Hands a port over, which replaces one of the same name; starts the guard if none runs.
-  /// @throws std::runtime_error (also ProgramMissing): no guard would halt the stage
-  void hold(const GuardedPort& port, int descriptor);
+  /// Opens a port behind the guard; starts a guard if there is none.
+  /// @param name  InstrumentPort::name
+  /// @throws InstrumentError as wire::open_stream() (PortHeld as kCannotOpen), ProgramMissing,
+  /// std::runtime_error: the guard cannot be started
+  std::unique_ptr<wire::ByteStream> open(const std::string& name, const std::string& port,
+                                         const wire::SerialSettings& settings);
 
-  /// Number of guards started so far. Starts one if none runs; a new guard holds no port.
-  int generation();
-  pid_t process() const { return process_; }
+  /// Tells the guard how to halt what is on a port, before it moves.
+  /// @throws InstrumentError kLinkLost: there is no guard, and nothing may move
+  void hold(const std::string& name, std::vector<HaltRecipe> recipes);
+
+  /// An axis is about to be commanded to move, by this thread, which beats from now on.
+  /// @throws InstrumentError kStalled after a halt by the guard, kLinkLost: there is no guard
+  void begin_motion(StageAxis axis);
+  /// The controller has said that an axis stands still.
+  void end_motion(StageAxis axis);
+  /// A chamber has a set point of this run.
+  void drive_chamber();
+
+  /// A sign of life of the moving thread, at least each 0.25 s of every wait; without effect in other
+  /// threads.
+  /// @param awaits  the event that it waits for, in words
+  void beat(std::string_view awaits) noexcept;
+
+  /// Has the guard halt the axes, and waits for the result of its first attempt; the guard goes on trying.
+  /// Its ports are closed for this program then.
+  HaltReport halt(const std::string& why) noexcept;
+
+  /// Why the guard, or this end in its place, has halted the axes; empty: it has not since the last open().
+  /// @param longest_wait  for news of it, after a port was closed by the guard
+  std::string halted_because(Clock::Duration longest_wait = {}) const;
+
+  pid_t process() const;
+
+  /// How often a guard was started; a new one holds nothing.
+  int generation() const;
 
  private:
+  using Json = nlohmann::json;
+  struct Opening {
+    std::promise<GuardPacket> answer;
+  };
+
   void start();
   void end();
-  /// Closes the socket of a guard that has ended or is about to, and waits for its process.
-  void collect();
+  void watch(const std::stop_token& stop);
+  void receive(GuardPacket packet);
+  void note_silence(const std::string& why);
+  HaltReport halt_by_duplicates();
+  bool send_beat_locked(std::string_view awaits);
+  bool is_alive() const;
 
+  RealClock clock_;
+  const std::string owner_;
+
+  mutable std::mutex mutex_;
+  mutable std::condition_variable changed_;
   int socket_ = -1;
+  int pidfd_ = -1;
   pid_t process_ = -1;
   int generation_ = 0;
+  bool alive_ = false;
+  Clock::Instant heard_, beat_sent_;
+  OwnerBeat beat_;
+  std::optional<std::thread::id> moving_thread_;
+  std::map<std::string, std::shared_ptr<Opening>> openings_;  ///< That the guard has not answered yet.
+  std::map<std::string, int> duplicates_;                     ///< Descriptors of open ports, by name.
+  std::map<std::string, std::vector<HaltRecipe>> recipes_;
+  int recipes_taken_ = 0;
+  std::string halted_because_;
+  std::array<std::optional<bool>, 2> confirmed_{};  ///< Of the halt under way, by index(StageAxis).
+  std::mutex start_mutex_;                          ///< Held while a guard is started or a port is opened.
+  std::jthread watcher_;                            ///< Last: it ends before the members that it uses.
 };
 
-/// The guard itself: holds the ports received over `socket` until its other end is closed. Then, unless it
-/// was told that the stage is at rest, it halts the axes and leaves the chamber by the recipes.
-/// @return the outcome for each port, in words; empty: the owner ended in order.
-std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock);
+/// Folder for the sockets of running guards: XDG_RUNTIME_DIR, or a folder of this user in the temporary one.
+std::filesystem::path guard_folder();
+
+/// Asks all guards of a program: to halt (to_guard::kHalt, with "by"), or for their status ("status").
+/// @return their answers; empty: there is no guard of that program, or none answers in time
+std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& question,
+                                       std::chrono::milliseconds longest);
 
 }  // namespace abcal

@@ -1,5 +1,6 @@
 #include "app/operate/bench/make_bench.h"
 
+#include <fmt/format.h>
 #include <poll.h>
 #include <unistd.h>
 
@@ -16,11 +17,11 @@
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
+#include "app/operate/bench/beating.h"
 #include "app/operate/bench/fault_schedule.h"
 #include "app/operate/bench/guarded_chamber.h"
 #include "app/operate/bench/guarded_stage.h"
 #include "app/operate/bench/make_firmware.h"
-#include "app/operate/bench/port_handover.h"
 #include "app/operate/bench/stage_watchdog.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/mounted_stage.h"
@@ -41,15 +42,15 @@
 namespace abcal {
 namespace {
 
-/// Opens a port. The guard of a run that was killed holds the stage's port until it has halted the axes,
-/// which takes about a second; a run that starts sooner waits for it.
-std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port,
-                                                   const wire::SerialSettings& settings, Clock& clock) {
+/// Opens a port by `open`. The guard of a run that was killed holds the stage's port until it has halted the
+/// axes, which takes about a second; a run that starts sooner waits for it.
+template <class Open>
+std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port, const Open& open, Clock& clock) {
   using namespace std::chrono_literals;
   const Clock::Instant latest = clock.now() + 10s;
   for (bool told = false;; told = true) {
     try {
-      return wire::open_stream(port, settings, clock);
+      return open();
     } catch (const wire::PortHeld& error) {
       // The guard held the port then; it may be free by now.
       if (!error.is_held_by("abcal-guard") || clock.now() >= latest) throw;
@@ -150,8 +151,14 @@ class SharedStream final : public wire::ByteStream {
 /// that a recording, scripted faults and simulated firmware continue after a port was gone.
 class Opener {
  public:
-  Opener(const BenchConfig& config, BenchStreams streams, SimWorlds worlds, Clock& clock)
-      : config_(config), streams_(std::move(streams)), worlds_(std::move(worlds)), clock_(clock) {}
+  /// @param guard  opens the real ports of stage and chamber
+  Opener(const BenchConfig& config, BenchStreams streams, SimWorlds worlds, Clock& clock,
+         std::shared_ptr<HaltGuard> guard)
+      : config_(config),
+        streams_(std::move(streams)),
+        worlds_(std::move(worlds)),
+        clock_(clock),
+        guard_(std::move(guard)) {}
 
   std::unique_ptr<RotationStage> stage() {
     const std::array<AxisMounting, 2> mountings{mounting(config_.stage.x), mounting(config_.stage.z)};
@@ -180,14 +187,17 @@ class Opener {
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
       if (driver.connections > 0) {
         for (const InstrumentPort& connection : connections_of(port, driver.connections))
-          streams.push_back(open(connection, driver.serial));
+          streams.push_back(open(connection, driver.serial, Opens::kGuard));
       }
       parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
       if (driver.connections == 0) continue;  // abcal has no stream to halt it by.
-      if (wire::ReopenableStream* real = opened_.at(port.name).port)
-        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), handover(port.name, *real));
       const std::lock_guard lock(halt_mutex_);
-      halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
+      if (opened_.at(port.name).port != nullptr) {
+        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name);
+        has_guarded_ports_ = true;
+      } else {
+        halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
+      }
     }
     std::unique_ptr<RotationStage> stage =
         parts.size() == 1 ? std::move(parts[0])
@@ -198,9 +208,11 @@ class Opener {
   /// Halts all axes on the ports of the stage without a driver. May be called from any thread.
   HaltReport halt_ports() {
     std::map<std::string, HaltPort, std::less<>> ports;
+    bool has_guarded_ports = false;
     {
       const std::lock_guard lock(halt_mutex_);
       ports = halt_ports_;
+      has_guarded_ports = has_guarded_ports_;
     }
     // All are halted before any is queried: a lost port must not delay the halt of the other axis.
     for (const auto& [name, port] : ports) {
@@ -212,6 +224,7 @@ class Opener {
       }
     }
     HaltReport report;
+    if (has_guarded_ports) report = guard_->halt("the stage has no driver while its port is opened again");
     for (const auto& [name, port] : ports) {
       for (const HaltRecipe& recipe : port.recipes) {
         const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
@@ -246,11 +259,11 @@ class Opener {
     const ChamberDriver& driver = find_driver(chamber_drivers(), config_.chamber.driver);
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
     for (const InstrumentPort& port : chamber_ports(config_.chamber))
-      streams.push_back(open(port, driver.serial));
+      streams.push_back(open(port, driver.serial, Opens::kGuard));
     auto chamber = driver.make(std::move(streams), clock_, chamber_settings(config_.chamber));
     for (const InstrumentPort& port : chamber_ports(config_.chamber))
-      if (wire::ReopenableStream* real = opened_.at(port.name).port)
-        chamber = std::make_unique<GuardedChamber>(std::move(chamber), handover(port.name, *real),
+      if (opened_.at(port.name).port != nullptr)
+        chamber = std::make_unique<GuardedChamber>(std::move(chamber), guard_, port.name,
                                                    config_.temperature.policy());
     return chamber;
   }
@@ -269,15 +282,14 @@ class Opener {
     wire::ReopenableStream* port = nullptr;  ///< Innermost part of `stream`; null: no real port.
   };
 
-  PortHandover handover(const std::string& name, const wire::ReopenableStream& port) const {
-    return {guard_, name, [&port] { return port.descriptor(); }};
-  }
+  enum class Opens { kThisProgram, kGuard };
 
   /// The stream to an instrument; a port that was lost is opened again.
-  std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) {
+  std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults,
+                                         Opens opens = Opens::kThisProgram) {
     auto found = opened_.find(port.name);
     if (found == opened_.end()) {
-      found = opened_.emplace(port.name, open_first(port, defaults)).first;
+      found = opened_.emplace(port.name, open_first(port, defaults, opens)).first;
     } else {
       if (found->second.port != nullptr) found->second.port->reopen();
       found->second.stream->discard_input();
@@ -287,7 +299,7 @@ class Opener {
 
   /// Opens a recording, a real port, or simulated firmware in this process, with the faults and the delays of
   /// the bench file.
-  Opened open_first(const InstrumentPort& port, const SerialDefaults& defaults) {
+  Opened open_first(const InstrumentPort& port, const SerialDefaults& defaults, Opens opens) {
     if (streams_.replay) return {streams_.replay(port.name, clock_)};
     const bool simulated = port.port == kSimulated;
     Opened opened;
@@ -302,8 +314,17 @@ class Opener {
       wire::SerialSettings settings;
       settings.baud = port.baud ? static_cast<unsigned>(*port.baud) : defaults.baud;
       settings.rts_cts = defaults.rts_cts;
-      auto reopenable = std::make_unique<wire::ReopenableStream>(
-          [name = port.port, settings, &clock = clock_] { return open_after_guard(name, settings, clock); });
+      const auto open_once = [role = port.name, name = port.port, settings, opens, guard = guard_,
+                              &clock = clock_]() -> std::unique_ptr<wire::ByteStream> {
+        return std::make_unique<BeatingStream>(opens == Opens::kGuard
+                                                   ? guard->open(role, name, settings)
+                                                   : wire::open_stream(name, settings, clock),
+                                               guard, clock);
+      };
+      auto reopenable =
+          std::make_unique<wire::ReopenableStream>([name = port.port, open_once, &clock = clock_] {
+            return open_after_guard(name, open_once, clock);
+          });
       opened.port = reopenable.get();
       stream = std::move(reopenable);
     }
@@ -324,7 +345,7 @@ class Opener {
   SimWorlds worlds_;
   Clock& clock_;
   /// Declared before the ports: it releases them after they are closed here.
-  std::shared_ptr<HaltGuard> guard_ = std::make_shared<HaltGuard>();
+  std::shared_ptr<HaltGuard> guard_;
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
 
   struct HaltPort {
@@ -332,7 +353,9 @@ class Opener {
     std::vector<HaltRecipe> recipes;
   };
   std::mutex halt_mutex_;
-  std::map<std::string, HaltPort, std::less<>> halt_ports_;  ///< By InstrumentPort::name.
+  std::map<std::string, HaltPort, std::less<>>
+      halt_ports_;  ///< By InstrumentPort::name; not those of the guard.
+  bool has_guarded_ports_ = false;
 };
 
 /// The instruments of a bench whose drivers can be made again.
@@ -390,7 +413,7 @@ void add_accelerometers(const BenchConfig& config, const std::shared_ptr<Opener>
 }  // namespace
 
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock) {
-  return Opener(config, {}, {}, clock).stage();
+  return Opener(config, {}, {}, clock, std::make_shared<HaltGuard>(config.name)).stage();
 }
 
 Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
@@ -405,6 +428,9 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   for (const InstrumentPort& port : chamber_ports(config.chamber)) ports.push_back(port);
   const auto real_port = [](const InstrumentPort& port) { return port.port != kSimulated; };
 
+  // Started when the first port is opened behind it.
+  const auto guard = std::make_shared<HaltGuard>(
+      fmt::format("{} on the bench \"{}\"", streams.owner.empty() ? "abcal" : streams.owner, config.name));
   Bench bench;
   bench.replayed = static_cast<bool>(streams.replay);
   const bool turned_by_hand = driver_called(manual_stage_drivers(), config.stage.driver) != nullptr;
@@ -417,7 +443,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   } else if (bench.simulated_time) {
     bench.clock = simulated_clock ? std::move(simulated_clock) : std::make_unique<sim::SimClock>();
   } else {
-    bench.clock = std::make_unique<RealClock>();
+    bench.clock = std::make_unique<BeatingClock>(std::make_unique<RealClock>(), guard);
   }
   const bool anything_simulated =
       stage_is_simulated || accelerometer_is_simulated || !std::all_of(ports.begin(), ports.end(), real_port);
@@ -429,7 +455,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
     throw std::invalid_argument("[[change]]: nothing on this bench is simulated, so a change has no effect");
   }
 
-  const auto opener = std::make_shared<Opener>(config, std::move(streams), worlds, *bench.clock);
+  const auto opener = std::make_shared<Opener>(config, std::move(streams), worlds, *bench.clock, guard);
   // The encoder of a real stage turns the simulated world.
   const bool followed = accelerometer_is_simulated && !stage_is_simulated;
   auto stage = std::make_unique<ReplaceableStage>(

@@ -57,6 +57,9 @@ struct BenchStreams {
   /// which jumps.
   std::function<Stream(std::string_view role, Clock& clock)> replay;
   std::unique_ptr<Clock> replay_clock;
+  /// Who moves the bench, for the log of its guard and for programs that find it in use: "jog by A. B.".
+  /// Empty: "abcal".
+  std::string owner{};
 };
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.

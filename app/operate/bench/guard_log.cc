@@ -1,0 +1,111 @@
+#include "app/operate/bench/guard_log.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <cstdint>
+#include <cstdlib>
+#include <fstream>
+#include <utility>
+#include <vector>
+
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr std::uintmax_t kLongestLog = std::uintmax_t{4} * 1024 * 1024;
+
+void append(const std::filesystem::path& file, const std::string& text) {
+  std::error_code ignored;
+  std::filesystem::create_directories(file.parent_path(), ignored);
+  if (std::filesystem::file_size(file, ignored) > kLongestLog && !ignored)
+    std::filesystem::rename(file, file.string() + ".1", ignored);
+  const int descriptor = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
+  if (descriptor < 0) return;  // A log that cannot be written must not keep a stage from being halted.
+  // One write a batch: several guards append to the same file.
+  if (::write(descriptor, text.data(), text.size()) >= 0) ::fdatasync(descriptor);
+  ::close(descriptor);
+}
+
+}  // namespace
+
+GuardLog::~GuardLog() = default;
+
+void GuardLog::open(std::filesystem::path file) {
+  const std::lock_guard lock(mutex_);
+  file_ = std::move(file);
+  if (!writer_.joinable()) writer_ = std::jthread([this](const std::stop_token& end) { write(end); });
+}
+
+void GuardLog::add(std::string_view what, Clock::UtcTime utc, Json json) {
+  json["what"] = what;
+  json["utc"] = format_utc(utc);
+  json["guard"] = ::getpid();
+  {
+    const std::lock_guard lock(mutex_);
+    lines_.push_back(json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+  }
+  changed_.notify_all();
+}
+
+void GuardLog::write(const std::stop_token& end) {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    changed_.wait(lock, end, [this] { return !lines_.empty(); });
+    if (lines_.empty()) return;  // The end, and all is written.
+    std::string text;
+    for (const std::string& line : std::exchange(lines_, {})) text += line;
+    const std::filesystem::path file = file_;
+    lock.unlock();
+    append(file, text);
+    lock.lock();
+  }
+}
+
+std::filesystem::path state_folder() {
+  const auto value = [](const char* name) {
+    const char* text = std::getenv(name);
+    return std::string(text == nullptr ? "" : text);
+  };
+  // A service may have several, divided by colons.
+  if (const std::string service = value("STATE_DIRECTORY"); !service.empty())
+    return service.substr(0, service.find(':'));
+  if (const std::string state = value("XDG_STATE_HOME"); !state.empty())
+    return std::filesystem::path(state) / "abcal";
+  const std::string home = value("HOME");
+  return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".local/state/abcal";
+}
+
+std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner) {
+  std::ifstream stream(file);
+  std::string line, words;
+  Json began;
+  std::vector<std::string> since;
+  for (; std::getline(stream, line);) {
+    const Json entry = Json::parse(line, nullptr, /*allow_exceptions=*/false);
+    if (!entry.is_object()) continue;  // Half a line: the computer lost its supply.
+    const std::string what = entry.value("what", "");
+    if (what == GuardLog::kBegan) {
+      if (!entry.value("owner", "").starts_with(owner)) continue;
+      began = entry;
+      words.clear();
+      continue;
+    }
+    if (!began.is_object() || entry.value("guard", 0) != began.value("guard", 0)) continue;
+    if (what == GuardLog::kEnded) {
+      words.clear();
+    } else if (what == GuardLog::kDied || what == GuardLog::kHalting || what == GuardLog::kHalted ||
+               what == GuardLog::kNotHalted) {
+      words +=
+          fmt::format("{}{}: {}", words.empty() ? "" : "; ", entry.value("utc", ""), entry.value("text", ""));
+    }
+  }
+  if (words.empty()) return std::nullopt;
+  return fmt::format("{} did not end in order. {}", began.value("owner", ""), words);
+}
+
+}  // namespace abcal

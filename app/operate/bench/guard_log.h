@@ -1,0 +1,57 @@
+#pragma once
+
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <thread>
+
+#include "drivers/instrument/clock.h"
+
+namespace abcal {
+
+/// The log of the guards of a user: one JSON object a line, which says who moved what and when, what was
+/// halted, and which program died. A thread of its own writes, so that a disk that hangs delays no halt.
+class GuardLog {
+ public:
+  /// Kinds of entries, as the member "what".
+  static constexpr std::string_view kBegan = "began", kMoves = "moves", kAtRest = "at rest",
+                                    kHalting = "halting", kHalted = "halted", kNotHalted = "not halted",
+                                    kDied = "died", kEnded = "ended";
+
+  GuardLog() = default;
+  ~GuardLog();
+  GuardLog(const GuardLog&) = delete;
+  GuardLog& operator=(const GuardLog&) = delete;
+
+  /// Entries go to this file from now on, those of before included. A file of more than 4 MiB is kept as
+  /// FILE.1 first. Without a call they are dropped at the end.
+  void open(std::filesystem::path file);
+  /// @param json  further members: "owner", "axis", "text"
+  void add(std::string_view what, Clock::UtcTime utc, nlohmann::json json = nlohmann::json::object());
+
+ private:
+  void write(const std::stop_token& end);
+
+  std::mutex mutex_;
+  std::condition_variable_any changed_;
+  std::filesystem::path file_;
+  std::deque<std::string> lines_;
+  std::jthread writer_;  ///< Last: it ends before the members that it uses.
+};
+
+/// Folder for the logs of this user: STATE_DIRECTORY of a service, otherwise XDG_STATE_HOME/abcal or
+/// ~/.local/state/abcal. Empty: none of them is known.
+std::filesystem::path state_folder();
+
+/// The end of the latest session in a log that did not end in order, in words for a person: who moved the
+/// bench, and how it was halted. Nothing where the latest one ended in order, still goes on, or there is no
+/// log.
+/// @param owner  only sessions whose owner's words begin so; empty: all
+std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner);
+
+}  // namespace abcal

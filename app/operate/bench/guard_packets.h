@@ -1,0 +1,76 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "drivers/instrument/halt.h"
+#include "drivers/wire/serial_port.h"
+
+namespace abcal {
+
+// The packets between a program that moves a bench and its guard, over a socket that keeps their bounds
+// (SOCK_SEQPACKET). Each is one object in MessagePack, whose member "kind" names it; bytes of a recipe need
+// not be UTF-8. A packet to the owner may carry descriptors.
+
+/// Kinds of packets to the guard.
+namespace to_guard {
+inline constexpr const char* kOwner = "owner";      ///< The first: who moves the bench, and where the log is.
+inline constexpr const char* kOpen = "open";        ///< Opens a port (PortRequest).
+inline constexpr const char* kRecipes = "recipes";  ///< How to halt what is on a port.
+inline constexpr const char* kBeat = "beat";        ///< The moving thread is alive (OwnerBeat).
+inline constexpr const char* kHalt = "halt";        ///< Halts all axes until that is confirmed.
+inline constexpr const char* kEnd = "end";          ///< The owner ends in order; all is at rest.
+}  // namespace to_guard
+
+/// Kinds of packets to the owner.
+namespace to_owner {
+inline constexpr const char* kOpened = "opened";  ///< With two descriptors: the socket, and the port itself.
+inline constexpr const char* kFailed = "failed";  ///< The port could not be opened.
+inline constexpr const char* kTaken = "taken";    ///< The recipes of a port are taken over.
+inline constexpr const char* kBeat = "beat";      ///< The guard is alive.
+inline constexpr const char* kHalting = "halting";  ///< The guard has begun to halt, and why.
+inline constexpr const char* kHalted = "halted";    ///< The result of the first attempt on a port.
+}  // namespace to_owner
+
+/// Longest packet, in bytes; recipes are a few hundred bytes each.
+inline constexpr std::size_t kLongestGuardPacket = 64 * 1024;
+
+struct GuardPacket {
+  nlohmann::json json;
+  std::vector<int> descriptors;  ///< Belong to the receiver.
+};
+
+/// Never waits. @return false: the other end is gone, or its queue is full
+bool send_guard_packet(int socket, const nlohmann::json& json, const std::vector<int>& descriptors = {});
+
+/// Waits for the next packet. @return nothing at the end of the connection
+/// @throws nlohmann::json::exception for bytes that are no packet
+std::optional<GuardPacket> receive_guard_packet(int socket);
+
+/// A port that the guard opens.
+struct PortRequest {
+  std::string name;  ///< InstrumentPort::name: "stage", "stage-x".
+  std::string port;  ///< As the bench file names it: "usb:...", "tcp:HOST:PORT", "/path".
+  wire::SerialSettings serial;
+};
+nlohmann::json to_json(const PortRequest& request);
+PortRequest port_request_from(const nlohmann::json& json);
+
+/// A beat of the thread that moves the bench.
+struct OwnerBeat {
+  std::array<bool, 2>
+      may_move{};        ///< By index(StageAxis): commanded to move, and not known to be at rest since.
+  bool chamber = false;  ///< A chamber holds a set point of this run.
+  std::string awaits;    ///< The event that the thread waits for, in words.
+};
+nlohmann::json to_json(const OwnerBeat& beat);
+OwnerBeat owner_beat_from(const nlohmann::json& json);
+
+nlohmann::json to_json(const HaltRecipe& recipe);
+HaltRecipe halt_recipe_from(const nlohmann::json& json);
+
+}  // namespace abcal
