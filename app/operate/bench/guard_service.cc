@@ -373,7 +373,7 @@ GuardService::Json GuardService::status() const {
   }
   return {{"kind", "status"},
           {"owner", owner_},
-          {"owner_alive", owner_alive_},
+          {"owner_alive", owner_alive_.load()},
           {"halted", halted_because_},
           {"axes", std::move(axes)}};
 }
