@@ -312,7 +312,8 @@ void GuardService::listen(const std::filesystem::path& path) {
   if (text.size() >= sizeof address.sun_path) return;
   std::memcpy(address.sun_path, text.c_str(), text.size() + 1);
   std::error_code ignored;
-  std::filesystem::remove(path, ignored);  // Of a guard that was killed: the name has the owner's number.
+  std::filesystem::remove(
+      path, ignored);  // One that a killed guard has left: the name has the number of its owner.
   listener_ = ::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   const mode_t before = ::umask(0177);  // For this user alone.
   const bool is_bound = ::bind(listener_, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 &&

@@ -88,7 +88,7 @@ class GuardService {
   std::string owner_ = "a program";
   std::atomic<bool> owner_alive_ = true;
   bool ended_in_order_ = false;
-  std::string halted_because_;  ///< Of the latest halt; empty: none since the last opening of a port.
+  std::string halted_because_;  ///< Reason of the latest halt; empty: none since a port was last opened.
   std::filesystem::path listening_at_;
   int listener_ = -1;
   std::set<int> clients_;

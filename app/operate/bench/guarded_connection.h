@@ -25,7 +25,7 @@ namespace abcal {
 /// for a while. Has two threads of its own; every call returns at once.
 class GuardedConnection {
  public:
-  /// What is known of the axes behind the port.
+  /// State of the port and of the axes behind it.
   enum class State {
     kClosed,       ///< No port is open.
     kPassing,      ///< The owner moves them.

@@ -113,7 +113,7 @@ class HaltGuard {
   std::map<std::string, std::vector<HaltRecipe>> recipes_;
   int recipes_taken_ = 0;
   std::string halted_because_;
-  std::array<std::optional<bool>, 2> confirmed_{};  ///< Of the halt under way, by index(StageAxis).
+  std::array<std::optional<bool>, 2> confirmed_{};  ///< Result of the halt under way, by index(StageAxis).
   std::mutex start_mutex_;                          ///< Held while a guard is started or a port is opened.
   std::jthread watcher_;                            ///< Last: it ends before the members that it uses.
 };

@@ -153,7 +153,7 @@ class HangTest : public ProgramTest {
     ASSERT_GT(guard, 0) << "no guard; " << run->err();
   }
 
-  /// Of a port that is gone, from its return on.
+  /// @return the time from which the limit counts: of the fault, or of the return of the port
   SteadyTime inject(Injection injection) {
     auto from = std::chrono::steady_clock::now();
     const auto unplug = [&] {
