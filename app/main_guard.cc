@@ -24,8 +24,8 @@ int main(int argc, char** argv) {
     abcal::RealClock clock;
     abcal::GuardService::Options options;
     options.socket = 3;
-    options.open = [&clock](const std::string& port, const abcal::wire::SerialSettings& settings) {
-      return abcal::wire::open_stream(port, settings, clock);
+    options.open = [&clock](const abcal::PortRequest& request) {
+      return abcal::wire::open_stream(request.port, request.serial, clock, request.holder);
     };
     options.uptime = abcal::uptime;
     abcal::GuardService guard(clock, std::move(options));

@@ -4,8 +4,12 @@
 
 #include <boost/asio/connect.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <memory>
+#include <string>
+#include <vector>
 
 #include "drivers/wire/asio_link.h"
+#include "drivers/wire/lease.h"
 
 namespace abcal::wire {
 
@@ -13,7 +17,7 @@ using boost::asio::ip::tcp;
 
 struct TcpStream::Impl {
   Impl(const std::string& host, std::uint16_t port, Clock& clock, Clock::Duration connect_timeout,
-       std::size_t queue_bytes)
+       std::size_t queue_bytes, const std::string& holder)
       : link(fmt::format("tcp:{}:{}", host, port), clock, queue_bytes) {
     boost::system::error_code outcome = boost::asio::error::timed_out;  // Until something better is known.
     bool host_found = false;
@@ -26,6 +30,11 @@ struct TcpStream::Impl {
             return;
           }
           host_found = true;
+          // Before the connection: many controllers end that of the program before when another one connects.
+          for (const auto& entry : found)
+            leases.push_back(Lease::take(
+                fmt::format("tcp:{}:{}", entry.endpoint().address().to_string(), entry.endpoint().port()),
+                holder));
           boost::asio::async_connect(
               link.port(), found,
               [&](const boost::system::error_code& result, const tcp::endpoint&) { outcome = result; });
@@ -59,12 +68,13 @@ struct TcpStream::Impl {
     throw InstrumentError(link.queue().name(), Fault::kCannotOpen, why);
   }
 
+  std::vector<std::shared_ptr<Lease>> leases;  ///< One for each address of the host; before the link.
   AsioLink<tcp::socket> link;
 };
 
 TcpStream::TcpStream(const std::string& host, std::uint16_t port, Clock& clock,
-                     Clock::Duration connect_timeout, std::size_t queue_bytes)
-    : impl_(std::make_unique<Impl>(host, port, clock, connect_timeout, queue_bytes)) {}
+                     Clock::Duration connect_timeout, std::size_t queue_bytes, const std::string& holder)
+    : impl_(std::make_unique<Impl>(host, port, clock, connect_timeout, queue_bytes, holder)) {}
 
 TcpStream::~TcpStream() = default;
 

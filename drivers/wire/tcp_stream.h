@@ -16,12 +16,13 @@ namespace abcal::wire {
 class TcpStream final : public ByteStream, public PortDescriptor {
  public:
   /// @param clock As for SerialPort.
-  /// @throws InstrumentError kCannotOpen: unknown host, connection refused, no answer within
-  /// `connect_timeout`
+  /// @param holder  who uses it, for other programs that want it (Lease)
+  /// @throws PortHeld: another program uses this address. InstrumentError kCannotOpen: unknown host,
+  /// connection refused, no answer within `connect_timeout`
   ///   (the system's own look-up of a host name may take longer).
   TcpStream(const std::string& host, std::uint16_t port, Clock& clock,
             Clock::Duration connect_timeout = std::chrono::seconds(5),
-            std::size_t queue_bytes = kDefaultQueueBytes);
+            std::size_t queue_bytes = kDefaultQueueBytes, const std::string& holder = {});
   ~TcpStream() override;
 
   void write(std::string_view bytes) override;  ///< Write deadline: 2 s.

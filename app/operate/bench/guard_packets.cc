@@ -72,7 +72,8 @@ Json to_json(const PortRequest& request) {
           {"name", request.name},
           {"port", request.port},
           {"baud", request.serial.baud},
-          {"rts_cts", request.serial.rts_cts}};
+          {"rts_cts", request.serial.rts_cts},
+          {"holder", request.holder}};
 }
 
 PortRequest port_request_from(const Json& json) {
@@ -81,6 +82,7 @@ PortRequest port_request_from(const Json& json) {
   request.port = json.at("port").get<std::string>();
   request.serial.baud = json.at("baud").get<unsigned>();
   request.serial.rts_cts = json.at("rts_cts").get<bool>();
+  request.holder = json.at("holder").get<std::string>();
   return request;
 }
 

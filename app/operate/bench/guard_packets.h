@@ -56,6 +56,7 @@ struct PortRequest {
   std::string name;  ///< InstrumentPort::name: "stage", "stage-x".
   std::string port;  ///< As the bench file names it: "usb:...", "tcp:HOST:PORT", "/path".
   wire::SerialSettings serial;
+  std::string holder;  ///< Who moves the bench, for programs that find the port in use.
 };
 nlohmann::json to_json(const PortRequest& request);
 PortRequest port_request_from(const nlohmann::json& json);

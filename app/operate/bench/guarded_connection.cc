@@ -161,7 +161,7 @@ void GuardedConnection::serve(const PortRequest& request) {
       if (!stream_) status_.state = State::kClosed;
     }
     std::shared_ptr<wire::ByteStream> stream = stream_;
-    if (!stream) stream = open_(request.port, request.serial);
+    if (!stream) stream = open_(request);
     const auto* port = dynamic_cast<const wire::PortDescriptor*>(stream.get());
     const int duplicate = port == nullptr ? -1 : ::fcntl(port->descriptor(), F_DUPFD_CLOEXEC, 0);
     std::array<int, 2> ends{};
@@ -229,14 +229,15 @@ void GuardedConnection::lose(const std::string& why) {
 }
 
 bool GuardedConnection::reopen() {
-  std::string port = request_.port;
+  PortRequest request = request_;
   try {
     if (usb_) {
       const auto again = find_again(*usb_);
-      if (!again) throw InstrumentError(port, Fault::kCannotOpen, "the same USB device is not connected");
-      port = again->path;
+      if (!again)
+        throw InstrumentError(request.port, Fault::kCannotOpen, "the same USB device is not connected");
+      request.port = again->path;
     }
-    std::shared_ptr<wire::ByteStream> stream = open_(port, request_.serial);
+    std::shared_ptr<wire::ByteStream> stream = open_(request);
     const std::lock_guard lock(mutex_);
     stream_ = std::move(stream);
     return true;

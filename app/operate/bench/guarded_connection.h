@@ -44,9 +44,8 @@ class GuardedConnection {
     bool is_done() const { return state != State::kHalting && state != State::kUnreachable; }
   };
 
-  /// Opens a port by its name. @throws InstrumentError kCannotOpen, std::invalid_argument
-  using OpenPort =
-      std::function<std::unique_ptr<wire::ByteStream>(const std::string& port, const wire::SerialSettings&)>;
+  /// Opens a port. @throws InstrumentError kCannotOpen, std::invalid_argument
+  using OpenPort = std::function<std::unique_ptr<wire::ByteStream>(const PortRequest& request)>;
   struct Listener {
     /// The socket for the owner and a duplicate of the port's descriptor (-1: it has none); both are the
     /// listener's. May be called from a thread of this object, as the others.

@@ -169,7 +169,7 @@ std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const
       duplicates_.erase(old);
     }
     halted_because_.clear();
-    if (!send_guard_packet(socket_, to_json(PortRequest{name, port, settings})))
+    if (!send_guard_packet(socket_, to_json(PortRequest{name, port, settings, owner_})))
       throw InstrumentError(port, Fault::kCannotOpen, kGone);
   }
   if (answered.wait_for(kOpenTime) != std::future_status::ready)

@@ -75,6 +75,7 @@ class HaltGuard {
   /// @param longest_wait  for news of it, after a port was closed by the guard
   std::string halted_because(Clock::Duration longest_wait = {}) const;
 
+  const std::string& owner() const { return owner_; }
   pid_t process() const;
 
   /// How often a guard was started; a new one holds nothing.

@@ -318,7 +318,7 @@ class Opener {
                               &clock = clock_]() -> std::unique_ptr<wire::ByteStream> {
         return std::make_unique<BeatingStream>(opens == Opens::kGuard
                                                    ? guard->open(role, name, settings)
-                                                   : wire::open_stream(name, settings, clock),
+                                                   : wire::open_stream(name, settings, clock, guard->owner()),
                                                guard, clock);
       };
       auto reopenable =

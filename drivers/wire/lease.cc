@@ -1,0 +1,126 @@
+#include "drivers/wire/lease.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <pwd.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <array>
+#include <cctype>
+#include <cerrno>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <mutex>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "drivers/wire/port_held.h"
+
+namespace abcal::wire {
+namespace {
+
+/// A folder that every user of this computer may write to; empty: there is none.
+std::filesystem::path lease_folder() {
+  for (const char* parent : {"/run/lock", "/tmp"}) {
+    const std::filesystem::path folder = std::filesystem::path(parent) / "abcal";
+    // Every user may add a file, none may remove that of another. The mask of new files does not count for
+    // chmod.
+    if (::mkdir(folder.c_str(), 01777) == 0) ::chmod(folder.c_str(), 01777);
+    if (::access(folder.c_str(), W_OK | X_OK) == 0) return folder;
+  }
+  return {};
+}
+
+/// Letters and digits stay; no resource may name a file elsewhere.
+std::string file_name(const std::string& resource) {
+  std::string name;
+  for (const char c : resource)
+    name += std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' ? c : '_';
+  return name + ".lease";
+}
+
+/// Opens the file of a lease, which may belong to another user. @return -1: not possible
+int open_file(const std::filesystem::path& path) {
+  // A file of another user in a folder like this is not opened with O_CREAT (fs.protected_regular).
+  const int flags = O_RDWR | O_CLOEXEC | O_NOFOLLOW;
+  for (int attempt = 0; attempt < 2; ++attempt) {
+    const int present = ::open(path.c_str(), flags);
+    if (present >= 0 || errno != ENOENT) return present;
+    const int made = ::open(path.c_str(), flags | O_CREAT | O_EXCL, 0666);
+    if (made >= 0) {
+      ::fchmod(made, 0666);
+      return made;
+    }
+  }
+  return -1;
+}
+
+bool lock(int descriptor) {
+  struct flock range {};
+  range.l_type = F_WRLCK;
+  range.l_whence = SEEK_SET;
+  return ::fcntl(descriptor, F_OFD_SETLK, &range) == 0;
+}
+
+/// A file of a lease has three lines: the holder in words, its process, its program.
+[[noreturn]] void throw_held(const std::string& resource, int descriptor) {
+  std::array<char, 1000> bytes{};
+  const ssize_t count = ::pread(descriptor, bytes.data(), bytes.size(), 0);
+  std::istringstream text(std::string(bytes.data(), count > 0 ? static_cast<std::size_t>(count) : 0));
+  std::string words;
+  PortHolder holder;
+  std::getline(text, words);
+  std::getline(text, holder.pid);
+  std::getline(text, holder.program);
+  throw PortHeld(resource,
+                 fmt::format("in use by {}; end that first", words.empty() ? "another program" : words),
+                 {holder});
+}
+
+std::string own_words(std::string_view holder) {
+  const passwd* user = ::getpwuid(::geteuid());
+  const std::time_t now = ::time(nullptr);
+  std::tm utc{};
+  ::gmtime_r(&now, &utc);
+  std::array<char, 32> since{};
+  ::strftime(since.data(), since.size(), "%Y-%m-%dT%H:%M:%SZ", &utc);
+  std::string program;
+  std::getline(std::ifstream("/proc/self/comm"), program);
+  return fmt::format("{} (process {} of {}) since {}\n{}\n{}\n", holder.empty() ? program : holder,
+                     ::getpid(), user != nullptr ? user->pw_name : std::to_string(::geteuid()), since.data(),
+                     ::getpid(), program);
+}
+
+}  // namespace
+
+std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view holder) {
+  static std::mutex mutex;
+  static std::map<std::string, std::weak_ptr<Lease>> taken;
+  const std::lock_guard lock_taken(mutex);
+  if (std::shared_ptr<Lease> present = taken[resource].lock()) return present;
+  const std::filesystem::path folder = lease_folder();
+  const int descriptor = folder.empty() ? -1 : open_file(folder / file_name(resource));
+  auto lease = std::make_shared<Lease>(descriptor);
+  if (descriptor >= 0) {
+    if (!lock(descriptor)) {
+      if (errno == EAGAIN || errno == EACCES) throw_held(resource, descriptor);
+      return lease;  // A file system without locks.
+    }
+    const std::string words = own_words(holder);
+    if (::ftruncate(descriptor, 0) == 0) (void)!::pwrite(descriptor, words.data(), words.size(), 0);
+  }
+  taken[resource] = lease;
+  return lease;
+}
+
+Lease::~Lease() {
+  if (descriptor_ < 0) return;
+  (void)!::ftruncate(descriptor_, 0);
+  ::close(descriptor_);
+}
+
+}  // namespace abcal::wire
