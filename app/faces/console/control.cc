@@ -19,6 +19,9 @@ using Json = nlohmann::json;
 /// A page that sends nothing for this time is reported as silent.
 constexpr std::chrono::seconds kSilent{3};
 
+/// The process that holds the bench has this time to confirm a halt; then the guard is asked directly.
+constexpr std::chrono::milliseconds kPatienceWithBench{400};
+
 SharedText shared(std::string text) {
   return std::make_shared<const std::string>(std::move(text));
 }
@@ -47,6 +50,17 @@ Control::Control(ServerCommon& common, Session::Options bench) : common_(common)
   const std::filesystem::path socket = is_service ? common.options.bench_socket : default_bench_socket(bench);
   bench_ = std::make_unique<BenchLink>(common.io, BenchLink::Options{std::move(bench), socket, !is_service},
                                        std::move(listener));
+  guard_watch_ =
+      std::make_unique<GuardWatch>(socket.string() + ".lock", [this](const GuardWatch::Known& known) {
+        boost::asio::post(common_.io, [this, known] { receive_guard(known); });
+      });
+}
+
+/// The guards of the stage know more of an axis, or less.
+void Control::receive_guard(const GuardWatch::Known& known) {
+  guard_ = known;
+  const SharedText text = shared(text_of(guard_.message));
+  for (const std::shared_ptr<Page>& page : pages_) page->send(text);
 }
 
 // ---- The bench
@@ -97,7 +111,9 @@ void Control::receive_reply(const Json& reply) {
   passed_on_.erase(found);
   const std::shared_ptr<Page> page = answered.page.lock();
   if (!page) return;
-  const std::string why = reply.at("ok").get<bool>() ? "" : reply.at("why").get<std::string>();
+  std::string why = reply.at("ok").get<bool>() ? "" : reply.at("why").get<std::string>();
+  // The process that holds the bench has nothing to stop, but its guard has.
+  if (answered.is_stop && !guard_.is_at_rest) why.clear();
   if (!why.empty()) common_.log_refusal(page->peer(), answered.text, why);
   page->reply(reply_to(answered.id, why));
 }
@@ -133,6 +149,7 @@ void Control::join(const std::shared_ptr<Page>& page) {
                              {"person", visitor.who.name},
                              {"may_steer", visitor.may_steer}})));
   if (bench_state_ != BenchState::kOn) page->send(shared(bench_message()));
+  if (!guard_.message.is_null()) page->send(shared(text_of(guard_.message)));
   send_snapshot(*page);
 }
 
@@ -190,9 +207,16 @@ std::optional<std::string> Control::carry_out(Page& page, const Request& request
     give_control(nullptr);
     return "";
   }
+  const bool is_stop = std::holds_alternative<Stop>(request.command);
+  if (is_stop) {
+    const bool answers = bench_->is_on() && bench_state_ == BenchState::kOn;
+    guard_watch_->stop(page.asker().for_people(),
+                       answers ? kPatienceWithBench : std::chrono::milliseconds(0));
+    if (!bench_->is_on() && !guard_.is_at_rest) return "";
+  }
   if (!bench_->is_on()) return "the process that holds the bench is not there";
   passed_on_[++passed_on_so_far_] = {page.weak_from_this(), static_cast<std::uint64_t>(request.id),
-                                     std::string(text)};
+                                     std::string(text), is_stop};
   bench_->request(passed_on_so_far_, page.asker(), request);
   return std::nullopt;
 }

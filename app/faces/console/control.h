@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/faces/console/bench_link.h"
+#include "app/faces/console/guard_watch.h"
 #include "app/faces/console/page.h"
 #include "app/faces/console/request.h"
 #include "app/faces/console/server_common.h"
@@ -53,6 +54,7 @@ class Control {
     std::weak_ptr<Page> page;
     std::uint64_t id = 0;
     std::string text;  ///< For the log.
+    bool is_stop = false;
   };
 
   void broadcast(const std::string& text);
@@ -60,6 +62,7 @@ class Control {
   void receive_state(BenchState state, const std::string& words);
   void receive_reply(const Json& reply);
   void note_end(bool was_on);
+  void receive_guard(const GuardWatch::Known& known);
   /// @return the reason of a refusal, empty: done; absent: the bench replies to it
   std::optional<std::string> carry_out(Page& page, const Request& request, std::string_view text);
   Session::Refusal take_control(Page& page, const TakeControl& take);
@@ -79,6 +82,8 @@ class Control {
   Page* controller_ = nullptr;
   bool controller_silent_ = false;
   std::int64_t pages_so_far_ = 0;
+  GuardWatch::Known guard_;                  ///< As the guards told last.
+  std::unique_ptr<GuardWatch> guard_watch_;  ///< Last: its thread ends before the members that it uses.
 };
 
 }  // namespace abcal::console

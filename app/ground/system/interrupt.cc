@@ -29,6 +29,7 @@ sigset_t watched_signals() {
   sigaddset(&signals, SIGINT);
   sigaddset(&signals, SIGTERM);
   sigaddset(&signals, SIGHUP);
+  sigaddset(&signals, SIGTSTP);
   return signals;
 }
 
@@ -38,6 +39,7 @@ struct SignalPolicy {
   std::mutex mutex;
   bool ends_orderly = false;
   std::list<std::function<void()>> before_end;
+  std::list<std::function<void()>> before_suspension;
 };
 
 SignalPolicy& policy() {
@@ -61,7 +63,19 @@ bool is_ignored(int number) {
   ::_exit(kEndedBySignal + number);    // The first process of a container has no default actions.
 }
 
+/// Ctrl-Z: what moves is halted, then the program stands still until SIGCONT.
+void suspend() {
+  {
+    SignalPolicy& state = policy();
+    const std::lock_guard lock(state.mutex);
+    if (is_ignored(SIGTSTP)) return;
+    for (const std::function<void()>& action : state.before_suspension) action();
+  }
+  ::kill(::getpid(), SIGSTOP);
+}
+
 void act_on(int number) {
+  if (number == SIGTSTP) return suspend();
   {
     SignalPolicy& state = policy();
     const std::lock_guard lock(state.mutex);  // Held until the end, so that the other threads wait.
@@ -116,6 +130,18 @@ BeforeSignalEnds::~BeforeSignalEnds() {
   SignalPolicy& state = policy();
   const std::lock_guard lock(state.mutex);
   state.before_end.erase(place_);
+}
+
+BeforeSuspension::BeforeSuspension(std::function<void()> action) {
+  SignalPolicy& state = policy();
+  const std::lock_guard lock(state.mutex);
+  place_ = state.before_suspension.insert(state.before_suspension.end(), std::move(action));
+}
+
+BeforeSuspension::~BeforeSuspension() {
+  SignalPolicy& state = policy();
+  const std::lock_guard lock(state.mutex);
+  state.before_suspension.erase(place_);
 }
 
 }  // namespace abcal

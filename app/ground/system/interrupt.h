@@ -6,8 +6,8 @@
 
 namespace abcal {
 
-/// Blocks SIGINT, SIGTERM and SIGHUP in this and all later threads and starts the one thread that waits for
-/// them. Call once, first thing in main().
+/// Blocks SIGINT, SIGTERM, SIGHUP and SIGTSTP in this and all later threads and starts the one thread that
+/// waits for them. Call once, first thing in main().
 ///
 /// A signal ends the program at once, by its default action, until a part of the program has undertaken to
 /// end orderly (end_orderly_at_signals(), interrupt_token()). From then on it only requests the stop of
@@ -32,6 +32,19 @@ class BeforeSignalEnds {
   BeforeSignalEnds(const BeforeSignalEnds&) = delete;
   BeforeSignalEnds& operator=(const BeforeSignalEnds&) = delete;
   ~BeforeSignalEnds();  ///< Does not return once such a signal has come.
+
+ private:
+  std::list<std::function<void()>>::iterator place_;
+};
+
+/// Action before Ctrl-Z (SIGTSTP) suspends the program, valid for the lifetime of this object: a stage is
+/// halted first. It runs in the watching thread.
+class BeforeSuspension {
+ public:
+  explicit BeforeSuspension(std::function<void()> action);
+  BeforeSuspension(const BeforeSuspension&) = delete;
+  BeforeSuspension& operator=(const BeforeSuspension&) = delete;
+  ~BeforeSuspension();  ///< Waits for the end of an action that has begun.
 
  private:
   std::list<std::function<void()>>::iterator place_;

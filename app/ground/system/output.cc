@@ -24,8 +24,8 @@ namespace abcal {
 namespace {
 
 constexpr std::size_t kLongestMessage = 16'384;  // bytes
-constexpr int kMostForLogReader = 1000;          // ms; longer would keep a run from its work.
-constexpr int kBetweenLooks = 200;               // ms, between two checks for an interrupt.
+constexpr int kMostForLogReader = 300;  // ms; the guard of a stage halts a thread that is silent for 1 s.
+constexpr int kBetweenLooks = 200;      // ms, between two checks for an interrupt.
 
 /// The state of the streams. One lock for both, so that lines of several threads are not torn.
 struct Streams {

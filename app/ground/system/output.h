@@ -18,7 +18,7 @@ namespace abcal {
 void reserve_standard_descriptors() noexcept;
 
 /// Text on standard error, as it stands; the caller ends its lines. At most 16 kB are kept. A reader that
-/// does not read costs 1 s once: after that, text is left out until room is free again.
+/// does not read costs 0.3 s once: after that, text is left out until room is free again.
 void vprint_log(fmt::string_view format, fmt::format_args arguments) noexcept;
 template <typename... Arguments>
 void print_log(fmt::format_string<Arguments...> format, const Arguments&... arguments) noexcept {

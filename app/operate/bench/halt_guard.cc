@@ -15,6 +15,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <fstream>
 #include <stdexcept>
 #include <utility>
 
@@ -42,6 +43,12 @@ constexpr std::chrono::seconds kOpenTime{15};
 /// To halt by the duplicates of a dead guard's descriptors, in addition to two replies.
 constexpr Clock::Duration kHaltMargin = 1s;
 constexpr const char* kGone = "its guard has ended";
+
+/// Where memory is short the system ends this program before the guard, which was started with the score of
+/// before.
+void prefer_as_victim() {
+  std::ofstream("/proc/self/oom_score_adj") << 500;
+}
 
 }  // namespace
 
@@ -100,6 +107,11 @@ int HaltGuard::generation() const {
   return generation_;
 }
 
+bool HaltGuard::may_move() const {
+  const std::lock_guard lock(mutex_);
+  return beat_.may_move[0] || beat_.may_move[1];
+}
+
 bool HaltGuard::is_alive() const {
   const std::lock_guard lock(mutex_);
   return alive_;
@@ -120,6 +132,7 @@ void HaltGuard::start() {
     beat_ = {};
     halted_because_.clear();
   }
+  prefer_as_victim();
   const std::filesystem::path folder = guard_folder(), log = state_folder();
   // Several guards may belong to one program, one after the other.
   static std::atomic<int> started = 0;

@@ -17,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/ground/system/interrupt.h"
 #include "app/ground/system/real_clock.h"
 #include "app/operate/bench/guard_packets.h"
 #include "drivers/instrument/clock.h"
@@ -92,6 +93,7 @@ class HaltGuard {
   void watch(const std::stop_token& stop);
   void receive(GuardPacket packet);
   void note_silence(const std::string& why);
+  bool may_move() const;
   HaltReport halt_by_duplicates();
   bool send_beat_locked(std::string_view awaits);
   bool is_alive() const;
