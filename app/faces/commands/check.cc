@@ -26,7 +26,9 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file, register_records());
-    Bench bench = make_bench(config);
+    BenchStreams streams;
+    streams.owner = "a check";
+    Bench bench = make_bench(config, std::move(streams));
     TerminalListener terminal(
         {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
     const std::vector<Finding> findings =

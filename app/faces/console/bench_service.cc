@@ -229,7 +229,7 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
       if (!path) return "there is no such run in the run folder";
       return impl.session->resume({path->string(), resume.without_missing_items}, by);
     }
-    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
+    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog, by); }
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }
     Session::Refusal operator()(const Level&) const { return impl.session->level(by); }
     Session::Refusal operator()(const Probe&) const { return impl.session->probe(); }

@@ -151,7 +151,9 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job, co
     stop_ = std::stop_source();
     if (activity == Activity::kRunning) {
       RunSession::Options options;
-      options.open_bench = [this](const BenchConfig& config, BenchStreams) { return open(config); };
+      options.open_bench = [this, by](const BenchConfig& config, BenchStreams) {
+        return open(config, "a run by " + by.for_people());
+      };
       options.listener = [this](const SessionEvent& event) { show(event); };
       options.stop = stop_.get_token();
       options.login = by.login;
@@ -218,8 +220,8 @@ Session::Refusal Session::probe() {
   return begin(Activity::kChecking, [this] { do_probe(); });
 }
 
-Session::Refusal Session::jog(const Jog& jog) {
-  return begin(Activity::kJogging, [this, jog] { do_jog(jog); });
+Session::Refusal Session::jog(const Jog& jog, const Asker& by) {
+  return begin(Activity::kJogging, [this, jog, by] { do_jog(jog, by); });
 }
 
 void Session::record(const char* kind, const Asker& by, RunOperator operates) {
@@ -278,10 +280,12 @@ Session::Refusal Session::note(std::string text, const Asker& by) {
   return std::nullopt;
 }
 
-Bench Session::open(const BenchConfig& config) {
+Bench Session::open(const BenchConfig& config, const std::string& owner) {
   jog_bench_.reset();  // It would keep the ports occupied.
   const Clock::UtcTime utc = RealClock().utc_now();
-  Bench bench = make_bench(config, {}, std::make_unique<PacedClock>(options_.pace, utc));
+  BenchStreams streams;
+  streams.owner = owner;
+  Bench bench = make_bench(config, std::move(streams), std::make_unique<PacedClock>(options_.pace, utc));
   notify_(BenchOpened{config.protocol, bench.simulated_time});
   const auto see = [this](const auto& seen) { notify_(seen); };
   bench.stage = std::make_unique<WatchedStage>(std::move(bench.stage), see, see);
@@ -309,7 +313,7 @@ void Session::show(SessionEvent event) {
 
 void Session::do_check(bool with_motion, const Asker& by) {
   const BenchConfig config = read_bench(options_.bench_file, register_records());
-  Bench bench = open(config);
+  Bench bench = open(config, "a check by " + by.for_people());
   std::vector<Finding> findings = check_bench(
       bench, config, {!with_motion, [this](const SessionEvent& event) { show(event); }, stop_.get_token()});
   LastCheck check = count_findings(findings);
@@ -325,7 +329,7 @@ void Session::do_check(bool with_motion, const Asker& by) {
 
 void Session::do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before) {
   const BenchConfig config = choose_run(read_bench(options_.bench_file, register_records()), choice).config;
-  Bench bench = open(config);
+  Bench bench = open(config, "a check of an item");
   ItemCheck check = check_mounted_item(bench, config, before, stop_.get_token());
   log(fmt::format("The item is checked: {}.",
                   check.passed() ? "nothing speaks against starting" : "there is a problem"));
@@ -381,18 +385,21 @@ void Session::do_probe() {
   notify_(StateSeen{"ports", {{"ports", std::move(list)}}});
 }
 
-void Session::do_jog(const Jog& jog) {
+void Session::do_jog(const Jog& jog, const Asker& by) {
+  if (jog_bench_ && jog_bench_->by != by.for_people())
+    jog_bench_.reset();  // The guard's log names the person.
   if (!jog_bench_) {
     BenchConfig config = read_bench(options_.bench_file, register_records());
-    Bench bench = open(config);
-    jog_bench_.emplace(JogBench{std::move(config), std::move(bench)});
+    Bench bench = open(config, "a jog by " + by.for_people());
+    jog_bench_.emplace(JogBench{std::move(config), std::move(bench), by.for_people()});
   }
   Bench& bench = jog_bench_->bench;
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
   const Angle angle =
       turn_axis(jog, *bench.stage, *bench.clock, jog_bench_->config.protocol, stop_.get_token());
-  log(fmt::format("Axis {} is at {:.4f} degrees (encoder).", to_string(jog.axis), angle.deg()));
+  log(fmt::format("Axis {} is at {:.4f} degrees (encoder), turned by {}.", to_string(jog.axis), angle.deg(),
+                  by.for_people()));
 }
 
 }  // namespace abcal::console

@@ -55,7 +55,7 @@ class Session {
   Refusal probe();
   Refusal hold(const Asker& by);
   Refusal continue_run(const Asker& by);
-  Refusal jog(const Jog& jog);
+  Refusal jog(const Jog& jog, const Asker& by);
   /// Adds a note to the event log of the current run.
   Refusal note(std::string text, const Asker& by);
   /// Halts the stage at once and ends the current activity.
@@ -76,14 +76,14 @@ class Session {
   /// Passes an event of a run session on to the pages.
   void show(SessionEvent event);
 
-  Bench open(const BenchConfig& config);
+  Bench open(const BenchConfig& config, const std::string& owner);
   void do_check(bool with_motion, const Asker& by);
   void do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
   void do_start(const std::string& name, const RunChoice& choice);
   Refusal stale(const RunChoice& choice) const;
   void do_level(const std::filesystem::path& run);
   void do_probe();
-  void do_jog(const Jog& jog);
+  void do_jog(const Jog& jog, const Asker& by);
 
   Options options_;
   std::function<void(Event)> notify_;
@@ -102,6 +102,7 @@ class Session {
   struct JogBench {
     BenchConfig config;
     Bench bench;
+    std::string by;  ///< Who turned it.
   };
   std::optional<JogBench> jog_bench_;
 

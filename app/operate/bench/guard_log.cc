@@ -90,7 +90,7 @@ std::optional<std::string> last_incident(const std::filesystem::path& file, std:
     if (!entry.is_object()) continue;  // Half a line: the computer lost its supply.
     const std::string what = entry.value("what", "");
     if (what == GuardLog::kBegan) {
-      if (!entry.value("owner", "").starts_with(owner)) continue;
+      if (entry.value("owner", "").find(owner) == std::string::npos) continue;
       began = entry;
       words.clear();
       continue;

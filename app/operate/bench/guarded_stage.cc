@@ -36,6 +36,8 @@ void GuardedStage::prepare() {
     for (std::size_t k = 0; k < 2; ++k) axes_[k] = axes_[k] || recipe.axes[k];
   guard_->hold(port_, std::move(recipes));
   is_held_ = true;
+  if (const std::string before = guard_->last_incident(); !before.empty())
+    events_.push_back({RealClock().now(), std::string(kGuardEvent), "The time before: " + before});
   events_.push_back(
       {RealClock().now(), std::string(kGuardEvent),
        fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its "

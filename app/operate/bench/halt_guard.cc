@@ -93,6 +93,9 @@ std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& questi
   return answers;
 }
 
+HaltGuard::HaltGuard(const std::string& who, std::string bench)
+    : bench_(std::move(bench)), owner_(fmt::format("{} on the bench \"{}\"", who, bench_)) {}
+
 HaltGuard::~HaltGuard() {
   end();
 }
@@ -105,6 +108,11 @@ pid_t HaltGuard::process() const {
 int HaltGuard::generation() const {
   const std::lock_guard lock(mutex_);
   return generation_;
+}
+
+std::string HaltGuard::last_incident() const {
+  const std::lock_guard lock(mutex_);
+  return incident_;
 }
 
 bool HaltGuard::may_move() const {
@@ -134,6 +142,12 @@ void HaltGuard::start() {
   }
   prefer_as_victim();
   const std::filesystem::path folder = guard_folder(), log = state_folder();
+  if (!log.empty()) {
+    const std::string incident =
+        abcal::last_incident(log / "motion.log", fmt::format("on the bench \"{}\"", bench_)).value_or("");
+    const std::lock_guard lock(mutex_);
+    incident_ = incident;
+  }
   // Several guards may belong to one program, one after the other.
   static std::atomic<int> started = 0;
   const std::string path =

@@ -37,8 +37,9 @@ namespace abcal {
 /// Functions may be called from any thread.
 class HaltGuard {
  public:
-  /// @param owner  who moves the bench, for messages of the guard: "abcal run bench.toml"
-  explicit HaltGuard(std::string owner) : owner_(std::move(owner)) {}
+  /// @param who  moves the bench, for the guard's log and for programs that find a port in use: "a run by A.
+  /// B."
+  HaltGuard(const std::string& who, std::string bench);
   /// The stage is at rest: the guard lets go of the ports and ends, which is waited for.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
@@ -76,7 +77,10 @@ class HaltGuard {
   /// @param longest_wait  for news of it, after a port was closed by the guard
   std::string halted_because(Clock::Duration longest_wait = {}) const;
 
+  /// Who moves which bench, in words.
   const std::string& owner() const { return owner_; }
+  /// The end of the session before on this bench, if it did not end in order, in words; empty otherwise.
+  std::string last_incident() const;
   pid_t process() const;
 
   /// How often a guard was started; a new one holds nothing.
@@ -99,7 +103,7 @@ class HaltGuard {
   bool is_alive() const;
 
   RealClock clock_;
-  const std::string owner_;
+  const std::string bench_, owner_;
 
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;
@@ -116,6 +120,7 @@ class HaltGuard {
   std::map<std::string, std::vector<HaltRecipe>> recipes_;
   int recipes_taken_ = 0;
   std::string halted_because_;
+  std::string incident_;
   std::array<std::optional<bool>, 2> confirmed_{};  ///< Result of the halt under way, by index(StageAxis).
   std::mutex start_mutex_;                          ///< Held while a guard is started or a port is opened.
   std::jthread watcher_;                            ///< Last: it ends before the members that it uses.

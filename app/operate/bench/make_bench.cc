@@ -1,6 +1,5 @@
 #include "app/operate/bench/make_bench.h"
 
-#include <fmt/format.h>
 #include <poll.h>
 #include <unistd.h>
 
@@ -413,7 +412,7 @@ void add_accelerometers(const BenchConfig& config, const std::shared_ptr<Opener>
 }  // namespace
 
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock) {
-  return Opener(config, {}, {}, clock, std::make_shared<HaltGuard>(config.name)).stage();
+  return Opener(config, {}, {}, clock, std::make_shared<HaltGuard>("abcal", config.name)).stage();
 }
 
 Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
@@ -429,8 +428,8 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   const auto real_port = [](const InstrumentPort& port) { return port.port != kSimulated; };
 
   // Started when the first port is opened behind it.
-  const auto guard = std::make_shared<HaltGuard>(
-      fmt::format("{} on the bench \"{}\"", streams.owner.empty() ? "abcal" : streams.owner, config.name));
+  const auto guard =
+      std::make_shared<HaltGuard>(streams.owner.empty() ? "abcal" : streams.owner, config.name);
   Bench bench;
   bench.replayed = static_cast<bool>(streams.replay);
   const bool turned_by_hand = driver_called(manual_stage_drivers(), config.stage.driver) != nullptr;

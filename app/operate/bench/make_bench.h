@@ -57,7 +57,7 @@ struct BenchStreams {
   /// which jumps.
   std::function<Stream(std::string_view role, Clock& clock)> replay;
   std::unique_ptr<Clock> replay_clock;
-  /// Who moves the bench, for the log of its guard and for programs that find it in use: "jog by A. B.".
+  /// Who moves the bench, for the log of its guard and for programs that find it in use: "a jog by A. B.".
   /// Empty: "abcal".
   std::string owner{};
 };

@@ -338,6 +338,8 @@ MeasuringSession::OpenedBench& MeasuringSession::open(const BenchConfig& config,
   auto opened = std::make_unique<OpenedBench>();
   opened->config = config;
   opened->registered.who.name = config.operator_name;
+  if (streams.owner.empty())
+    streams.owner = config.operator_name.empty() ? "a run" : "a run by " + config.operator_name;
   opened->bench = options_.open_bench(config, std::move(streams));
   opened_ = std::move(opened);
   return *opened_;

@@ -83,7 +83,7 @@ export default {
   'not usable: {}': 'unbrauchbar: {}',
   'Its program died, or another program is measuring it now.': 'Sein Programm ist abgebrochen, oder ein anderes Programm misst ihn gerade.',
   'stopped by {}': 'gestoppt von {}',
-  'A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if this program dies.': 'Ein eigener Prozess (abcal-guard, {}) hält den Anschluss von {} und hält die Achsen an, wenn dieses Programm abbricht.',
+  'A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if this program dies or hangs.': 'Ein eigener Prozess (abcal-guard, {}) hält den Anschluss von {} und hält die Achsen an, wenn dieses Programm abbricht oder hängt.',
   // Checks of a bench.
   'bench file': 'Messplatzdatei', stage: 'Drehtisch', 'stage axis {}': 'Achse {} des Drehtisches', travel: 'Verfahrbereich', accelerometer: 'Aufnehmer',
   'readings at rest': 'Ablesungen in Ruhe', 'sample rate': 'Ausgaberate', losses: 'Verluste', 'noise at rest': 'Rauschen in Ruhe', norm: 'Betrag', range: 'Messbereich',
@@ -208,7 +208,7 @@ export default {
   'the stage did not acknowledge the halt ({}): stop it by its own switch': 'der Drehtisch hat das Anhalten nicht bestätigt ({}): ihn mit seinem eigenen Schalter stoppen',
   'the halt was not acknowledged ({}): stop it by its own switch': 'das Anhalten wurde nicht bestätigt ({}): mit dem eigenen Schalter stoppen',
   'it came back but does not acknowledge the halt: stop it by its own switch': 'er ist wieder da, bestätigt das Anhalten aber nicht: mit seinem eigenen Schalter stoppen',
-  'Nobody halts the {} if this program dies ({}): keep the stage\'s own switch at hand.': 'Niemand hält {} an, wenn dieses Programm stirbt ({}): den eigenen Schalter des Drehtisches bereithalten.',
+  'The time before: {}': 'Beim Mal davor: {}',
   'the watchdog halted the stage: it may have been moving, and its controller had not answered for {} s, or this program had not polled it': 'der Wächter hat den Drehtisch angehalten: Er hat sich vielleicht bewegt, und seine Steuerung hatte {} s nicht geantwortet, oder dieses Programm hatte sie nicht gefragt',
   'all angles are measured, but the stage could not be parked: {}; {}': 'alle Winkel sind gemessen, aber der Drehtisch konnte nicht geparkt werden: {}; {}',
   'stopped by the operator': 'vom Bediener gestoppt', 'stopped before it began': 'gestoppt, bevor es begann',
@@ -237,7 +237,7 @@ export default {
   'the output is in {}; required on this page: g or m/s2. Level it by `abcal level --sensitivity RUN`': 'die Ausgabe ist in {}; auf dieser Seite verlangt: g oder m/s2. Mit `abcal level --sensitivity RUN` nivellieren',
   'Levelled: {}. Stored in {}.': 'Nivelliert: {}. Gespeichert in {}.', 'tilt of the Z axis {}': 'Neigung der Z-Achse {}', 'zero of X {}': 'Nullpunkt von X {}',
   '{} ports are asked, of {}.': '{} Anschlüsse sind abgefragt, von {}.',
-  'Axis {} is at {} degrees (encoder).': 'Achse {} steht bei {} Grad (Encoder).',
+  'Axis {} is at {} degrees (encoder), turned by {}.': 'Achse {} steht bei {} Grad (Encoder), gedreht von {}.',
   'Run {} is complete: {}.': 'Der Lauf {} ist fertig: {}.', usable: 'brauchbar', doubtful: 'zweifelhaft', 'not usable': 'unbrauchbar',
   'The bench is checked: {} good, {} warnings, {} problems.': 'Der Messplatz ist geprüft: {} gut, {} Warnungen, {} Probleme.',
 };
