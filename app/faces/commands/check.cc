@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "app/faces/commands/commands.h"
 #include "app/faces/commands/terminal_listener.h"
