@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <string>
 
 #include "drivers/instrument/clock.h"
@@ -13,6 +14,11 @@ namespace abcal::wire {
 /// among the questions. Nobody else may read from `port` meanwhile. Never throws.
 /// @return false: not acknowledged by `deadline`; the axes may be moving, the chamber may be heating.
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
+
+/// The longest that one attempt to carry out a recipe takes: two replies, and a second more.
+inline Clock::Duration longest_halt(const HaltRecipe& recipe) {
+  return 2 * recipe.reply_time + std::chrono::seconds(1);
+}
 
 /// An open descriptor (a serial port or a socket) as a stream, e.g. one that was inherited from a process
 /// that died. Has no thread; does not close the descriptor, and does not change its flags. Real time only.

@@ -233,7 +233,7 @@ void GuardService::handle_beat(const OwnerBeat& beat) {
   }
   for (const StageAxis axis : kStageAxes) {
     const std::size_t k = index(axis);
-    if (before[k] != beat.may_move[k])
+    if (before[k] != beat.may_move[k] && halted_because_.empty())
       log_.add(beat.may_move[k] ? GuardLog::kMoves : GuardLog::kAtRest, clock_.utc_now(),
                {{"owner", owner_}, {"axis", to_string(axis)}});
   }

@@ -23,8 +23,6 @@ using namespace std::chrono_literals;
 constexpr Clock::Duration kSlice = 20ms;
 /// Between two attempts to halt.
 constexpr Clock::Duration kBetweenHalts = 1s;
-/// Time of an attempt in addition to two replies.
-constexpr Clock::Duration kHaltMargin = 1s;
 /// The longest that bytes wait for an owner who does not read; then they are dropped.
 constexpr int kOwnerWaitMs = 100;
 
@@ -252,7 +250,7 @@ void GuardedConnection::halt_once() {
   bool is_confirmed = stream_ != nullptr || reopen();
   if (is_confirmed) {
     for (const HaltRecipe& recipe : recipes()) {
-      const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
+      const Clock::Instant deadline = clock_.now() + wire::longest_halt(recipe);
       is_confirmed = wire::carry_out(recipe, *stream_, clock_, deadline) && is_confirmed;
     }
     if (is_confirmed) {

@@ -40,8 +40,8 @@ constexpr Clock::Duration kBeatInterval = 200ms;
 constexpr std::chrono::seconds kAnswerTime{5};
 /// To resolve a host and connect to it, on a slow network.
 constexpr std::chrono::seconds kOpenTime{15};
-/// To halt by the duplicates of a dead guard's descriptors, in addition to two replies.
-constexpr Clock::Duration kHaltMargin = 1s;
+/// Between the end of an attempt of the guard and its news of it.
+constexpr Clock::Duration kAnswerMargin = 500ms;
 constexpr const char* kGone = "its guard has ended";
 
 /// Where memory is short the system ends this program before the guard, which was started with the score of
@@ -93,8 +93,9 @@ std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& questi
   return answers;
 }
 
-HaltGuard::HaltGuard(const std::string& who, std::string bench)
-    : bench_(std::move(bench)), owner_(fmt::format("{} on the bench \"{}\"", who, bench_)) {}
+HaltGuard::HaltGuard(const std::string& who, const std::string& bench)
+    : bench_(bench.empty() ? "on a bench without a name" : fmt::format("on the bench \"{}\"", bench)),
+      owner_(who + " " + bench_) {}
 
 HaltGuard::~HaltGuard() {
   end();
@@ -143,8 +144,7 @@ void HaltGuard::start() {
   prefer_as_victim();
   const std::filesystem::path folder = guard_folder(), log = state_folder();
   if (!log.empty()) {
-    const std::string incident =
-        abcal::last_incident(log / "motion.log", fmt::format("on the bench \"{}\"", bench_)).value_or("");
+    const std::string incident = abcal::last_incident(log / "motion.log", bench_).value_or("");
     const std::lock_guard lock(mutex_);
     incident_ = incident;
   }
@@ -276,11 +276,11 @@ HaltReport HaltGuard::halt(const std::string& why) noexcept {
   try {
     HaltReport report;
     std::unique_lock lock(mutex_);
-    Clock::Duration longest = kHaltMargin;
+    Clock::Duration longest{};
     std::array<bool, 2> wanted{};
     for (const auto& [name, recipes] : recipes_) {
       for (const HaltRecipe& recipe : recipes) {
-        longest = std::max<Clock::Duration>(longest, 2 * recipe.reply_time + 2 * kHaltMargin);
+        longest = std::max(longest, wire::longest_halt(recipe) + kAnswerMargin);
         for (std::size_t k = 0; k < 2; ++k) wanted[k] = wanted[k] || recipe.axes[k];
       }
     }
@@ -319,7 +319,7 @@ HaltReport HaltGuard::halt_by_duplicates() {
     wire::DescriptorStream stream(descriptor, name, clock_);
     for (const HaltRecipe& recipe : recipes[name]) {
       if (!recipe.chamber.empty()) continue;
-      const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
+      const Clock::Instant deadline = clock_.now() + wire::longest_halt(recipe);
       if (!wire::carry_out(recipe, stream, clock_, deadline)) continue;
       for (std::size_t k = 0; k < 2; ++k)
         if (recipe.axes[k]) report.axes[k] = AxisHalt::kHalted;

@@ -39,7 +39,7 @@ class HaltGuard {
  public:
   /// @param who  moves the bench, for the guard's log and for programs that find a port in use: "a run by A.
   /// B."
-  HaltGuard(const std::string& who, std::string bench);
+  HaltGuard(const std::string& who, const std::string& bench);
   /// The stage is at rest: the guard lets go of the ports and ends, which is waited for.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
@@ -103,7 +103,7 @@ class HaltGuard {
   bool is_alive() const;
 
   RealClock clock_;
-  const std::string bench_, owner_;
+  const std::string bench_, owner_;  ///< In words: "on the bench \"left\"", "a run on the bench \"left\"".
 
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;

@@ -59,9 +59,6 @@ std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port, cons
   }
 }
 
-/// Time allowed for a halt without a driver, in addition to two reply times.
-constexpr std::chrono::seconds kHaltMargin{1};
-
 AxisMounting mounting(const StageAxisConfig& axis) {
   const auto angle = [](const std::optional<double>& degrees) {
     return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
@@ -226,7 +223,7 @@ class Opener {
     if (has_guarded_ports) report = guard_->halt("the stage has no driver while its port is opened again");
     for (const auto& [name, port] : ports) {
       for (const HaltRecipe& recipe : port.recipes) {
-        const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
+        const Clock::Instant deadline = clock_.now() + wire::longest_halt(recipe);
         if (!wire::carry_out(recipe, *port.stream, clock_, deadline)) continue;
         for (const StageAxis axis : kStageAxes)
           if (recipe.axes[index(axis)]) report.axes[index(axis)] = AxisHalt::kHalted;

@@ -22,7 +22,6 @@
 #include <thread>
 #include <vector>
 
-#include "app/operate/bench/guard_log.h"
 #include "app/operate/bench/halt_guard.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/instrument_cases.h"
