@@ -139,15 +139,23 @@ class HangTest : public ProgramTest {
     port_of_x = stage == "two_controllers" ? "stage-x" : "stage";
   }
 
-  /// Starts a run and waits until the stage turns, and a random time longer.
+  std::size_t measured(const std::filesystem::path& file) {
+    try {
+      return std::filesystem::exists(file) ? RunFile::load(file).measured.size() : 0;
+    } catch (const RunFileError&) {  // Not written yet.
+      return 0;
+    }
+  }
+
+  /// Starts a run and waits until the stage turns by the step of the plan (6 s), and a random time longer.
   void start_in_motion(std::mt19937_64& random) {
-    run = std::make_unique<Program>(
-        std::vector<std::string>{"run", "bench.toml", "-o", fmt::format("run-{}.run", ++runs)},
-        folder.path());
-    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves() || !run->running(); }, 60s));
+    const std::string file = fmt::format("run-{}.run", ++runs);
+    run = std::make_unique<Program>(std::vector<std::string>{"run", "bench.toml", "-o", file}, folder.path());
+    ASSERT_TRUE(test::wait_for([&] { return measured(folder / file) > 0 || !run->running(); }, 60s));
+    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves() || !run->running(); }, 20s));
     ASSERT_TRUE(run->running()) << run->err() << run->out();
     std::this_thread::sleep_for(std::chrono::milliseconds(300 + random() % 500));
-    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves(); }, 20s));
+    ASSERT_TRUE(control->anything_moves());
     guard = guard_of(run->pid());
     ASSERT_GT(guard, 0) << "no guard; " << run->err();
   }
@@ -312,7 +320,7 @@ TEST_F(HangTest, StopOfAnotherProgramReachesTheGuardDirectly) {
   run->signal(SIGCONT);
   EXPECT_EQ(run->wait(), 3) << run->err();
   EXPECT_THAT(run->err(), HasSubstr("stopped by the test"));
-  EXPECT_THAT(last_incident(folder / "state/abcal/motion.log", "").value_or(""), HasSubstr("the test"));
+  EXPECT_THAT(test::read_file(folder / "state/abcal/motion.log"), HasSubstr("stopped by the test"));
 }
 
 }  // namespace
