@@ -43,10 +43,10 @@ layer(app/ground MAY drivers/instrument/ protocol/plan/ protocol/gravity/ protoc
 layer(app/operate MAY app/ground/ drivers/ protocol/plan/ protocol/gravity/ protocol/record/ protocol/run/ protocol/estimators/ protocol/linear/
   protocol/model/ protocol/statistics/ sim/ FOREIGN Eigen/ nlohmann/ fmt/ boost/)
 layer(app/results MAY app/ground/ drivers/instrument/ protocol/ sim/
-  FOREIGN toml++/ Eigen/ H5Cpp.h nlohmann/ fmt/)
+  FOREIGN toml++/ Eigen/ nlohmann/ fmt/)
 layer(app/laboratory MAY app/ground/ app/results/ drivers/instrument/ protocol/ ${truth}
   FOREIGN soci/ sodium.h Eigen/ unsupported/Eigen/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
 layer(app/studies MAY app/ground/ app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ mpi.h nlohmann/ fmt/)
 layer(app/faces MAY app/ drivers/ protocol/ sim/ abcal/
   FOREIGN CLI/ Eigen/ boost/ libxml/ nlohmann/ openssl/ pybind11/ sqlite3.h unicode/ fmt/)
-layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ curl/ matio.h nlohmann/ fmt/ hwy/)
+layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ H5Cpp.h boost/ curl/ matio.h nlohmann/ fmt/ hwy/)

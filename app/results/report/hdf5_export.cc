@@ -1,23 +1,27 @@
 #include "app/results/report/hdf5_export.h"
 
-#include <string>
-#include <vector>
+#include <fmt/format.h>
+
+#include <fstream>
+#include <stdexcept>
 
 #include "app/ground/system/helper_program.h"
+#include "app/ground/system/output_file.h"
+#include "app/results/report/record_hdf5.h"
 
 namespace abcal {
 
 void export_hdf5(std::span<const ReportData> items, const std::filesystem::path& path,
                  const std::string& file_name) {
-  std::vector<std::string> arguments{"export", "--file-name", file_name, "--created-utc",
-                                     items.front().created_utc};
-  for (const ReportData& data : items) {
-    arguments.emplace_back("--item");
-    arguments.push_back(std::to_string(data.item));
-  }
-  for (const std::string& last : {std::string("--"), items.front().path.string(), path.string()})
-    arguments.push_back(last);
-  run_helper("abcal-hdf5", "HDF5 is written by", arguments);
+  // In the same folder, where there is room for all readings; the folder for temporary files may be in
+  // memory.
+  const OutputFile tree(std::filesystem::path(path).replace_extension(".tree"));
+  std::ofstream stream(tree.temporary(), std::ios::binary);
+  write_hdf5_tree(items, file_name, stream);
+  stream.close();
+  if (!stream)
+    throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path.string()));
+  run_helper("abcal-hdf5", "HDF5 is written by", {"write", "--", tree.temporary().string(), path.string()});
 }
 
 }  // namespace abcal

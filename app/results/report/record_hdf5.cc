@@ -1,21 +1,20 @@
 #include "app/results/report/record_hdf5.h"
 
-#include <H5Cpp.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <functional>
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
+#include <ostream>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
-#include "app/ground/document/valid_text.h"
+#include "app/ground/document/data_tree.h"
 #include "app/results/estimates/result_json.h"
 #include "app/results/estimates/result_text.h"
 #include "app/results/estimates/tray_results.h"
@@ -24,38 +23,29 @@
 namespace abcal {
 namespace {
 
-constexpr hsize_t kChunk = 4096;  // readings
-constexpr unsigned kCompression = 4;
 constexpr const char* kNoUnit = "1";
 
-H5::StrType utf8() {
-  H5::StrType type(H5::PredType::C_S1, H5T_VARIABLE);
-  type.setCset(H5T_CSET_UTF8);
-  return type;
-}
+using Attributes = std::map<std::string, DataNode::Attribute>;
 
-void set_attribute(const H5::H5Object& object, const std::string& name, const std::string& value) {
-  object.createAttribute(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(utf8(), valid_text(value));
-}
+/// A group, and the stream for what is put into it.
+struct Group {
+  std::ostream& tree;
+  std::string path;
 
-void set_attribute(const H5::H5Object& object, const std::string& name,
-                   const std::vector<std::string>& values) {
-  const hsize_t size = values.size();
-  std::vector<const char*> pointers;
-  for (const std::string& value : values) pointers.push_back(value.c_str());
-  object.createAttribute(name, utf8(), H5::DataSpace(1, &size)).write(utf8(), pointers.data());
-}
+  std::string path_of(const std::string& name) const { return path + "/" + name; }
+};
 
-H5::Group group(const H5::Group& parent, const std::string& name, const std::string& nexus_class) {
-  H5::Group made = parent.createGroup(name);
-  set_attribute(made, "NX_class", nexus_class);
+Group group(const Group& parent, const std::string& name, const std::string& nexus_class,
+            Attributes attributes = {}) {
+  attributes["NX_class"] = nexus_class;
+  Group made{parent.tree, parent.path_of(name)};
+  write_node({made.path, DataNode::Group{}, false, std::move(attributes)}, made.tree);
   return made;
 }
 
 /// Writes a text, unless it is empty.
-void put(const H5::Group& parent, const std::string& name, const std::string& text) {
-  if (text.empty()) return;
-  parent.createDataSet(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(valid_text(text), utf8());
+void put(const Group& parent, const std::string& name, const std::string& text) {
+  if (!text.empty()) write_node({parent.path_of(name), text, false, {}}, parent.tree);
 }
 
 /// Unit and description of the numbers of a dataset.
@@ -79,87 +69,73 @@ std::string udunits(std::string unit) {
 }
 
 /// `units` for other programs, `unit` as abcal writes it everywhere else.
-void describe(const H5::DataSet& dataset, const Meaning& meaning) {
+Attributes described(const Meaning& meaning) {
   const std::string units = udunits(meaning.unit);
-  set_attribute(dataset, "units", units);
-  if (units != meaning.unit) set_attribute(dataset, "unit", meaning.unit);
-  if (!meaning.long_name.empty()) set_attribute(dataset, "long_name", meaning.long_name);
+  Attributes attributes{{"units", units}};
+  if (units != meaning.unit) attributes["unit"] = meaning.unit;
+  if (!meaning.long_name.empty()) attributes["long_name"] = meaning.long_name;
+  return attributes;
 }
 
-void put(const H5::Group& parent, const std::string& name, double value, const Meaning& meaning) {
-  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, H5::DataSpace(H5S_SCALAR));
-  dataset.write(&value, H5::PredType::NATIVE_DOUBLE);
-  describe(dataset, meaning);
-}
+using Shape = std::vector<std::size_t>;
 
 /// Values row by row.
-void put(const H5::Group& parent, const std::string& name, const std::vector<double>& values,
-         const std::vector<hsize_t>& shape, const Meaning& meaning) {
-  const H5::DataSpace space(static_cast<int>(shape.size()), shape.data());
-  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, space);
-  if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_DOUBLE);
-  describe(dataset, meaning);
+template <class Number>
+void put(const Group& parent, const std::string& name, const std::vector<Number>& values, const Shape& shape,
+         const Meaning& meaning) {
+  write_node({parent.path_of(name), DataNode::Array<Number>{shape, values}, false, described(meaning)},
+             parent.tree);
 }
 
-void put(const H5::Group& parent, const std::string& name, const std::vector<std::int64_t>& values,
+void put(const Group& parent, const std::string& name, double value, const Meaning& meaning) {
+  put(parent, name, std::vector<double>{value}, {}, meaning);
+}
+
+void put(const Group& parent, const std::string& name, const std::vector<std::int64_t>& values,
          const std::string& long_name = {}) {
-  const hsize_t size = values.size();
-  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::STD_I64LE, H5::DataSpace(1, &size));
-  if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_INT64);
-  describe(dataset, {kNoUnit, long_name});
+  put(parent, name, values, {values.size()}, {kNoUnit, long_name});
 }
 
 /// A dataset that grows by rows: a long run need not fit into memory.
+template <class Number>
 class Column {
  public:
-  Column(const H5::Group& parent, const std::string& name, hsize_t width, const H5::DataType& type,
-         const Meaning& meaning)
-      : width_(width) {
-    const int rank = width > 1 ? 2 : 1;
-    const hsize_t none[] = {0, width}, unlimited[] = {H5S_UNLIMITED, width}, chunk[] = {kChunk, width};
-    H5::DSetCreatPropList properties;
-    properties.setChunk(rank, chunk);
-    properties.setShuffle();
-    properties.setDeflate(kCompression);
-    dataset_ = parent.createDataSet(name, type, H5::DataSpace(rank, none, unlimited), properties);
-    describe(dataset_, meaning);
+  /// @param width  numbers of a row
+  Column(const Group& parent, const std::string& name, std::size_t width, const Meaning& meaning)
+      : tree_(parent.tree), path_(parent.path_of(name)), width_(width) {
+    write_node({path_, rows({}), true, described(meaning)}, tree_);
   }
 
-  template <class T>
-  void append(const std::vector<T>& values, const H5::PredType& type) {
-    if (values.empty()) return;
-    const hsize_t rows = values.size() / width_;
-    const hsize_t begin[] = {rows_, 0}, count[] = {rows, width_};
-    rows_ += rows;
-    const hsize_t size[] = {rows_, width_};
-    dataset_.extend(size);
-    H5::DataSpace where = dataset_.getSpace();
-    where.selectHyperslab(H5S_SELECT_SET, count, begin);
-    dataset_.write(values.data(), type, H5::DataSpace(width_ > 1 ? 2 : 1, count), where);
+  void append(std::vector<Number> values) {
+    if (!values.empty()) write_node({path_, rows(std::move(values)), true, {}}, tree_);
   }
 
  private:
-  hsize_t width_ = 1;
-  hsize_t rows_ = 0;
-  H5::DataSet dataset_;
+  DataNode::Array<Number> rows(std::vector<Number> values) const {
+    const std::size_t count = values.size() / width_;
+    return {width_ > 1 ? Shape{count, width_} : Shape{count}, std::move(values)};
+  }
+
+  std::ostream& tree_;
+  std::string path_;
+  std::size_t width_;
 };
 
 double or_nan(const std::optional<double>& value) {
   return value.value_or(std::numeric_limits<double>::quiet_NaN());
 }
 
-void plot_as(const H5::Group& data, const std::string& signal, const std::vector<std::string>& axes) {
-  set_attribute(data, "signal", signal);
-  set_attribute(data, "axes", axes);
-  const std::int64_t first_dimension = 0;
-  data.createAttribute(axes.front() + "_indices", H5::PredType::STD_I64LE, H5::DataSpace(H5S_SCALAR))
-      .write(H5::PredType::NATIVE_INT64, &first_dimension);
+/// What programs plot of a group, and over which of its datasets (NeXus).
+Attributes plotted(const std::string& signal, const std::string& axis) {
+  return {{"signal", signal},
+          {"axes", std::vector<std::string>{axis, "."}},
+          {axis + "_indices", std::int64_t{0}}};  // the first dimension
 }
 
 // --- Groups ------------------------------------------------------------------------------------------------
 
-void put_averaged(const H5::Group& entry, const RunRecord& record) {
-  const H5::Group data = group(entry, "averaged", "NXdata");
+void put_averaged(const Group& entry, const RunRecord& record) {
+  const Group data = group(entry, "averaged", "NXdata", plotted("response", "alpha"));
   std::vector<double> alpha, response, errors, spread, time, settle, temperature, encoder;
   std::vector<std::int64_t> experiment, n, closing, count, lost, flags;
   const auto degrees = [](const std::optional<Angle>& angle) {
@@ -184,7 +160,7 @@ void put_averaged(const H5::Group& entry, const RunRecord& record) {
       spread.push_back(dwell.spread[j]);
     }
   }
-  const hsize_t size = record.dwells.size();
+  const std::size_t size = record.dwells.size();
   const std::string& unit = record.response_unit;
   put(data, "alpha", alpha, {size}, {"degree", "desired rotation angle"});
   put(data, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
@@ -200,13 +176,12 @@ void put_averaged(const H5::Group& entry, const RunRecord& record) {
   put(data, "count", count, "readings averaged");
   put(data, "lost", lost, "readings lost");
   put(data, "flags", flags, "bits, docs/report.md");
-  plot_as(data, "response", {"alpha", "."});
 }
 
 /// The dwells at the check poses, and their evaluation.
-void put_check_poses(const H5::Group& entry, const RunRecord& record) {
+void put_check_poses(const Group& entry, const RunRecord& record) {
   if (record.check_poses.empty()) return;
-  const H5::Group made = group(entry, "check_poses", "NXdata");
+  const Group made = group(entry, "check_poses", "NXdata", plotted("response", "time"));
   const std::string& unit = record.response_unit;
   std::vector<double> response, errors, time;
   std::vector<std::int64_t> pose, after, flags;
@@ -221,14 +196,13 @@ void put_check_poses(const H5::Group& entry, const RunRecord& record) {
       errors.push_back(dwell.u_mean ? (*dwell.u_mean)[j] : std::numeric_limits<double>::quiet_NaN());
     }
   }
-  const hsize_t size = record.check_poses.size();
+  const std::size_t size = record.check_poses.size();
   put(made, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
   put(made, "response_errors", errors, {size, 3}, {unit, "standard uncertainty of the averaged readings"});
   put(made, "time", time, {size}, {"s", "middle of the dwell from the start of the run"});
   put(made, "pose", pose, "1: gravity along (1, 1, 1), 2: against it");
   put(made, "after", after, "angles of the experiments measured before");
   put(made, "flags", flags, "bits, docs/report.md");
-  plot_as(made, "response", {"time", "."});
   const std::optional<CheckPoseStudy> study = compared_check_poses(record);
   if (!study) return;
   std::vector<double> difference, difference_errors;
@@ -240,7 +214,7 @@ void put_check_poses(const H5::Group& entry, const RunRecord& record) {
     difference_errors.insert(difference_errors.end(), each.standard_uncertainty.begin(),
                              each.standard_uncertainty.end());
   }
-  const hsize_t differences = study->differences.size();
+  const std::size_t differences = study->differences.size();
   put(made, "difference", difference, {differences, 3}, {unit, "reading minus that of the first visit"});
   put(made, "difference_errors", difference_errors, {differences, 3},
       {unit, "standard uncertainty (k = 1) of difference, of the two readings alone"});
@@ -263,21 +237,18 @@ void put_check_poses(const H5::Group& entry, const RunRecord& record) {
   trends("change_of_offset", study->offset);
 }
 
-void put_readings(const H5::Group& entry, const ReportData& data) {
-  const H5::Group group_of_readings = group(entry, "readings", "NXdata");
-  const H5::PredType& real = H5::PredType::IEEE_F64LE;
-  const H5::PredType& whole = H5::PredType::STD_I64LE;
-  const auto column = [&](const char* name, hsize_t width, const H5::PredType& type, const Meaning& meaning) {
-    return Column(group_of_readings, name, width, type, meaning);
-  };
-  Column response = column("response", 3, real, {data.record.response_unit, "single readings of U, V, W"});
-  Column time = column("time", 1, real, {"s", "arrival, from the start of the run"});
-  Column temperature = column("temperature", 1, real, {"degree_Celsius", "temperature of the sensor"});
-  Column sequence = column("sequence", 1, whole, {kNoUnit, "count of the accelerometer; a gap is a loss"});
-  Column experiment = column("experiment", 1, whole, {kNoUnit, "rotation experiment 1, 2, 3"});
-  Column n = column("n", 1, whole, {kNoUnit, "index of the angle from 1"});
-  Column closing = column("closing", 1, whole, {kNoUnit, "1: the first angle measured again"});
-  Column repeat = column("repeat", 1, whole, {kNoUnit, "1: measured again for comparison; the first counts"});
+void put_readings(const Group& entry, const ReportData& data) {
+  const Group readings = group(entry, "readings", "NXdata", plotted("response", "time"));
+  using Reals = Column<double>;
+  using Wholes = Column<std::int64_t>;
+  Reals response(readings, "response", 3, {data.record.response_unit, "single readings of U, V, W"});
+  Reals time(readings, "time", 1, {"s", "arrival, from the start of the run"});
+  Reals temperature(readings, "temperature", 1, {"degree_Celsius", "temperature of the sensor"});
+  Wholes sequence(readings, "sequence", 1, {kNoUnit, "count of the accelerometer; a gap is a loss"});
+  Wholes experiment(readings, "experiment", 1, {kNoUnit, "rotation experiment 1, 2, 3"});
+  Wholes n(readings, "n", 1, {kNoUnit, "index of the angle from 1"});
+  Wholes closing(readings, "closing", 1, {kNoUnit, "1: the first angle measured again"});
+  Wholes repeat(readings, "repeat", 1, {kNoUnit, "1: measured again for comparison; the first counts"});
   RunFile::read_dwells(
       data.path,
       [&](const StoredDwell& dwell) {
@@ -292,22 +263,21 @@ void put_readings(const H5::Group& entry, const ReportData& data) {
         const auto same = [&](std::int64_t value) {
           return std::vector<std::int64_t>(dwell.readings.size(), value);
         };
-        response.append(outputs, H5::PredType::NATIVE_DOUBLE);
-        time.append(times, H5::PredType::NATIVE_DOUBLE);
-        temperature.append(temperatures, H5::PredType::NATIVE_DOUBLE);
-        sequence.append(sequences, H5::PredType::NATIVE_INT64);
-        experiment.append(same(dwell.experiment), H5::PredType::NATIVE_INT64);
-        n.append(same(dwell.n), H5::PredType::NATIVE_INT64);
-        closing.append(same(dwell.closing ? 1 : 0), H5::PredType::NATIVE_INT64);
-        repeat.append(same(dwell.repeat ? 1 : 0), H5::PredType::NATIVE_INT64);
+        response.append(std::move(outputs));
+        time.append(std::move(times));
+        temperature.append(std::move(temperatures));
+        sequence.append(std::move(sequences));
+        experiment.append(same(dwell.experiment));
+        n.append(same(dwell.n));
+        closing.append(same(dwell.closing ? 1 : 0));
+        repeat.append(same(dwell.repeat ? 1 : 0));
       },
       data.item);
-  plot_as(group_of_readings, "response", {"time", "."});
 }
 
 /// Values, and their standard uncertainties as NAME_errors.
-void put_quantities(const H5::Group& parent, const std::string& name, const std::vector<Quantity>& quantities,
-                    const std::vector<hsize_t>& shape, const std::string& long_name) {
+void put_quantities(const Group& parent, const std::string& name, const std::vector<Quantity>& quantities,
+                    const Shape& shape, const std::string& long_name) {
   std::vector<double> values, errors;
   std::string unit;
   for (const Quantity& q : quantities) {
@@ -321,20 +291,20 @@ void put_quantities(const H5::Group& parent, const std::string& name, const std:
 }
 
 template <class Matrix>
-void put_covariance(const H5::Group& parent, const std::string& name, const std::optional<Matrix>& matrix,
+void put_covariance(const Group& parent, const std::string& name, const std::optional<Matrix>& matrix,
                     const std::string& long_name) {
   if (!matrix) return;
   std::vector<double> values;
   for (Eigen::Index i = 0; i < matrix->rows(); ++i) {
     for (Eigen::Index j = 0; j < matrix->cols(); ++j) values.push_back((*matrix)(i, j));
   }
-  const auto size = static_cast<hsize_t>(matrix->rows());
+  const auto size = static_cast<std::size_t>(matrix->rows());
   // Rows and columns have units of their own; the long name says which.
   put(parent, name, values, {size, size}, {"product of the units of row and column", long_name});
 }
 
-void put_result(const H5::Group& entry, const CalibrationResult& result) {
-  const H5::Group made = group(entry, "result_" + result.estimator, "NXcollection");
+void put_result(const Group& entry, const CalibrationResult& result) {
+  const Group made = group(entry, "result_" + result.estimator, "NXcollection");
   put(made, "verdict", std::string(to_string(result.verdict)));
   put(made, "why", result.why);
   // The complete abcal.result/1, so that nothing is left out.
@@ -356,11 +326,11 @@ void put_result(const H5::Group& entry, const CalibrationResult& result) {
                  "s_u s_v s_w phi_uv phi_vw phi_wu O_u O_v O_w");
 }
 
-void put_instruments(const H5::Group& entry, const ReportData& data) {
-  const H5::Group made = group(entry, "instrument", "NXinstrument");
+void put_instruments(const Group& entry, const ReportData& data) {
+  const Group made = group(entry, "instrument", "NXinstrument");
   put(made, "name", data.label("bench.name"));
   for (const InstrumentIdentity& identity : data.run->header.instruments) {
-    const H5::Group one = group(made, identity.role, identity.role == "stage" ? "NXpositioner" : "NXsensor");
+    const Group one = group(made, identity.role, identity.role == "stage" ? "NXpositioner" : "NXsensor");
     put(one, "maker", identity.maker);
     put(one, "model", identity.model);
     put(one, "serial_number", identity.serial_number);
@@ -369,9 +339,9 @@ void put_instruments(const H5::Group& entry, const ReportData& data) {
   }
 }
 
-void put_environment(const H5::Group& entry, const std::vector<StoredEnvironment>& rows) {
+void put_environment(const Group& entry, const std::vector<StoredEnvironment>& rows) {
   if (rows.empty()) return;
-  const H5::Group made = group(entry, "environment", "NXenvironment");
+  const Group made = group(entry, "environment", "NXenvironment");
   std::vector<double> temperature, humidity, pressure;
   std::string moments, times;
   for (const StoredEnvironment& row : rows) {
@@ -383,14 +353,14 @@ void put_environment(const H5::Group& entry, const std::vector<StoredEnvironment
   }
   put(made, "moment", moments);
   put(made, "time_utc", times);
-  const std::vector<hsize_t> shape{rows.size()};
+  const Shape shape{rows.size()};
   put(made, "temperature", temperature, shape, {"degree_Celsius", "of the room"});
   put(made, "relative_humidity", humidity, shape, {"percent"});
   put(made, "pressure", pressure, shape, {"hPa"});
 }
 
-void put_conditions(const H5::Group& entry, const RunRecord& record) {
-  const H5::Group made = group(entry, "conditions", "NXcollection");
+void put_conditions(const Group& entry, const RunRecord& record) {
+  const Group made = group(entry, "conditions", "NXcollection");
   if (record.g_loc_known) {
     put(made, "g_loc", record.g_loc.value_mps2, {"m s-2", "local gravity"});
     put(made, "g_loc_errors", record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor,
@@ -412,34 +382,36 @@ void put_conditions(const H5::Group& entry, const RunRecord& record) {
   }
 }
 
-void put_process(const H5::Group& entry, const std::string& name, const std::string& version,
+void put_process(const Group& entry, const std::string& name, const std::string& version,
                  const std::string& date, const std::string& what) {
-  const H5::Group made = group(entry, name, "NXprocess");
+  const Group made = group(entry, name, "NXprocess");
   put(made, "program", "abcal");
   put(made, "version", version);
   put(made, "date", date);
   put(made, "description", what);
 }
 
-void put_note(const H5::Group& entry, const std::string& name, const std::string& type,
-              const std::string& data) {
-  const H5::Group made = group(entry, name, "NXnote");
+void put_note(const Group& entry, const std::string& name, const std::string& type, const std::string& data) {
+  const Group made = group(entry, name, "NXnote");
   put(made, "type", type);
   put(made, "data", data);
 }
 
-void write_root(const ReportData& data, const H5::Group& root, const std::string& first_entry,
-                const std::string& file_name) {
-  set_attribute(root, "NX_class", "NXroot");
-  set_attribute(root, "default", first_entry);
-  set_attribute(root, "file_name", file_name);
-  set_attribute(root, "file_time", data.created_utc);
-  set_attribute(root, "creator", "abcal");
-  set_attribute(root, "creator_version", data.program_version);
+void put_root(const ReportData& data, const std::string& first_entry, const std::string& file_name,
+              std::ostream& tree) {
+  write_node({"/",
+              DataNode::Group{},
+              false,
+              {{"NX_class", "NXroot"},
+               {"default", first_entry},
+               {"file_name", file_name},
+               {"file_time", data.created_utc},
+               {"creator", "abcal"},
+               {"creator_version", data.program_version}}},
+             tree);
 }
 
-void write_entry(const ReportData& data, const H5::Group& entry) {
-  set_attribute(entry, "default", "averaged");
+void put_entry(const ReportData& data, const Group& entry) {
   put(entry, "definition", "NXabc_calibration");  // docs/NXabc_calibration.nxdl.xml
   put(entry, "title", "calibration of a triaxial accelerometer by gravity (ABC protocol)");
   put(entry, "entry_identifier", data.path.filename().string());
@@ -457,7 +429,7 @@ void write_entry(const ReportData& data, const H5::Group& entry) {
               "abc, joint and norm estimators; this file");
   if (!data.run) return;
   put_process(entry, "measurement", data.run->header.program_version, data.started_utc(), "the run");
-  const H5::Group sample = group(entry, "sample", "NXsample");
+  const Group sample = group(entry, "sample", "NXsample");
   put(sample, "name", data.label("item.model"));
   for (const char* key : {"maker", "model", "serial_number", "range", "filter", "firmware", "supply"})
     put(sample, key, data.label(std::string("item.") + key));
@@ -470,37 +442,19 @@ void write_entry(const ReportData& data, const H5::Group& entry) {
 
 }  // namespace
 
-namespace {
-
-void write_file(const std::filesystem::path& path, const std::function<void(const H5::Group& root)>& write) {
-  H5::Exception::dontPrint();  // The exception contains the error.
-  try {
-    H5::H5File file(path.string(), H5F_ACC_TRUNC);
-    write(file.openGroup("/"));
-    // Flushed here, because a destructor would not report a full disk.
-    file.flush(H5F_SCOPE_GLOBAL);
-    file.close();
-  } catch (const H5::Exception& error) {
-    throw std::runtime_error(fmt::format("{}: HDF5: {}: {} (is the disk full?)", path.string(),
-                                         error.getFuncName(), error.getDetailMsg()));
-  }
-}
-
-}  // namespace
-
-void write_hdf5(std::span<const ReportData> items, const std::filesystem::path& path,
-                const std::string& file_name) {
+void write_hdf5_tree(std::span<const ReportData> items, const std::string& file_name, std::ostream& tree) {
   const bool several = items.size() > 1;
   const auto name = [several](const ReportData& data) {
     return several ? fmt::format("item_{}", data.item) : std::string("entry");
   };
-  write_file(path, [&](const H5::Group& root) {
-    write_root(items.front(), root, name(items.front()), file_name);
-    for (const ReportData& data : items) write_entry(data, group(root, name(data), "NXentry"));
-    if (several)
-      put_note(root.openGroup(name(items.front())), "tray", "application/json",
-               tray_json(*items.front().all).dump());
-  });
+  put_root(items.front(), name(items.front()), file_name, tree);
+  const Group root{tree, ""};
+  for (const ReportData& data : items) {
+    const Group entry = group(root, name(data), "NXentry", {{"default", "averaged"}});
+    put_entry(data, entry);
+    if (several && &data == &items.front())
+      put_note(entry, "tray", "application/json", tray_json(*data.all).dump());
+  }
 }
 
 }  // namespace abcal

@@ -6,16 +6,19 @@
 
 #include <cmath>
 #include <cstdlib>
+#include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <regex>
 #include <set>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/ground/document/gnuplot.h"
 #include "app/ground/document/weasyprint.h"
+#include "app/results/report/record_hdf5.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_record.h"
 #include "protocol/record/sha256.h"
@@ -53,6 +56,10 @@ class PathOf {
 
 class ReportTest : public ProgramTest {
  protected:
+  static std::string hdf5_helper() {
+    return std::filesystem::path(test::abcal_program()).replace_filename("abcal-hdf5").string();
+  }
+
   /// A run with an item, an operator and a room, whose tolerances are not the defaults.
   static std::string bench_text(const std::string& more = {}) {
     return BenchText{}.text() +
@@ -236,6 +243,9 @@ with h5py.File("a.h5") as file:
     assert int(data.attrs["alpha_indices"]) == 0 and data.attrs["alpha_indices"].dtype.kind == "i"
     assert entry["definition"][()].decode() == "NXabc_calibration"
     readings = entry["readings"]
+    assert readings["response"].chunks == (4096, 3) and readings["response"].maxshape == (None, 3)
+    for name in readings:
+        assert readings[name].compression == "gzip" and readings[name].shuffle, name
     for k in range(data["alpha"].shape[0]):
         mine = (readings["experiment"][...] == data["experiment"][k]) & (readings["n"][...] == data["n"][k]) \
             & (readings["closing"][...] == data["closing"][k])
@@ -491,13 +501,25 @@ TEST_F(ReportTest, AFullDiskLeavesNothingHalfWritten) {
     EXPECT_EQ(test::read_file(folder / "a.csv"), "precious") << option;
   }
   // By an exit code, not by a crash.
-  const std::string helper =
-      std::filesystem::path(test::abcal_program()).replace_filename("abcal-hdf5").string();
-  test::Program export_alone(
-      helper, {"export", "--file-name", "b.h5", "--created-utc", "2026-03-01T12:00:00Z", "a.run", "b.h5"},
-      folder.path(), {2'000});
-  EXPECT_EQ(export_alone.wait(), 1);
-  EXPECT_THAT(export_alone.err(), HasSubstr("is the disk full?"));
+  std::ofstream tree(folder / "a.tree", std::ios::binary);
+  write_hdf5_tree(gather_items(folder / "a.run", Clock::UtcTime{}), "b.h5", tree);
+  tree.close();
+  test::Program helper(hdf5_helper(), {"write", "a.tree", "b.h5"}, folder.path(), {2'000});
+  EXPECT_EQ(helper.wait(), 1);
+  EXPECT_THAT(helper.err(), AllOf(HasSubstr("b.h5: HDF5: "), HasSubstr("is the disk full?")));
+}
+
+TEST_F(ReportTest, TheHdf5HelperWritesNothingButGroupsAndDatasets) {
+  test::write_file(folder / "a.csv", "a,b\n1,2\n");
+  test::write_file(folder / "empty", "");
+  for (const auto& [arguments, words] :
+       {std::pair{std::vector<std::string>{"write", "a.csv", "b.h5"}, "cannot be read to their end"},
+        {{"write", "absent", "b.h5"}, "absent cannot be read"},
+        {{"write", "empty", "absent/b.h5"}, "absent/b.h5: HDF5: "}}) {
+    test::Program helper(hdf5_helper(), arguments, folder.path());
+    EXPECT_NE(helper.wait(), 0) << words;
+    EXPECT_THAT(helper.err(), HasSubstr(words));
+  }
 }
 
 TEST_F(ReportTest, WhatIsNoRecordIsRefused) {
