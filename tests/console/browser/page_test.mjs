@@ -99,6 +99,8 @@ export function complainsOfNothing() {
   assert.deepEqual(served.problems, []);
 }
 
+export const pictureOf = (where, name) => where.screenshot({path: path.join(pictures, `${name}.png`)});
+
 // What axe finds wrong for people who see, hear or move differently: names, order, contrast (WCAG 2.2 A and AA, good practice).
 // Or what one of its rules finds.
 export async function barriers(where = page, rules = null) {

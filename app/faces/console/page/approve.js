@@ -1,7 +1,7 @@
 // The certificate of a run: what was issued, and the approval. Whoever approves proves it here and now, with a password or with a
 // key that stays where it is: the certificate is downloaded, signed there, and handed in.
 import {element, DASH} from '/text.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 

@@ -1,6 +1,6 @@
 // What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
 import {element} from '/text.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 
