@@ -56,7 +56,7 @@ TEST_F(SecurityTest, ThePageAllowsNothingFromElsewhere) {
   for (const Asset& asset : assets()) {
     EXPECT_EQ(test::http_get(port, std::string(asset.path)).body, asset.body) << asset.path;
     if (asset.path == "/chart.js") continue;  // Has addresses in its licence.
-    // An XML namespace is no address, and link.js tests the scheme of its own address.
+    // A namespace is a name, no address; and stop.js asks how it was loaded itself.
     const std::string body = std::regex_replace(
         std::string(asset.body), std::regex("xmlns=\"http://www.w3.org/2000/svg\"|'https:' *\\?"), "");
     for (const char* elsewhere :

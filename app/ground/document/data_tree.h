@@ -27,7 +27,7 @@ struct DataNode {
 
   std::string path;  ///< From the root "/": "/entry/readings/time".
   std::variant<Group, std::string, Array<double>, Array<std::int64_t>> content;
-  /// Of an array: later nodes of this path add rows to it. They have no attributes, and the same shape but
+  /// Later nodes of the path of an array add rows to it. They have no attributes, and the same shape but
   /// for its first number.
   bool grows = false;
   std::map<std::string, Attribute> attributes;

@@ -125,7 +125,7 @@ double or_nan(const std::optional<double>& value) {
   return value.value_or(std::numeric_limits<double>::quiet_NaN());
 }
 
-/// What programs plot of a group, and over which of its datasets (NeXus).
+/// Names the dataset of a group that programs plot, and the dataset of its axis (NeXus).
 Attributes plotted(const std::string& signal, const std::string& axis) {
   return {{"signal", signal},
           {"axes", std::vector<std::string>{axis, "."}},

@@ -99,8 +99,10 @@ export function complainsOfNothing() {
   assert.deepEqual(served.problems, []);
 }
 
-// The violations that axe finds: names, order, contrast and others (WCAG 2.2 A and AA, good practice).
-// Or only those of the given rules.
+export const pictureOf = (where, name) => where.screenshot({path: path.join(pictures, `${name}.png`)});
+
+// The findings of axe on accessibility: names, order, contrast (WCAG 2.2 A and AA, good practice).
+// Or what one of its rules finds.
 export async function barriers(where = page, rules = null) {
   if (!(await where.evaluate(() => 'axe' in globalThis))) await where.evaluate(`${fromRegistry('axe-core').source}; 0`);
   const {violations, passes} = await where.evaluate((only) => axe.run({

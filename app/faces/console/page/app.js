@@ -1,13 +1,13 @@
 import {byId, duration, element, small} from '/text.js';
 import {said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
-import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {withoutMissing} from '/items.js';
 import {LiveView} from '/live.js';
 import {endMaking} from '/making.js';
 import {QueueView} from '/queue.js';
 import {StartForm} from '/start.js';
-import {canMove, stateOf} from '/state.js';
+import {stateOf} from '/state.js';
+import {ask as send, attach, connected, contact, showBanner, UNCONFIRMED_AFTER_MS} from '/stop.js';
 import {offerTimes, timeElement} from '/time.js';
 import {offerLanguage, t, translate} from '/language.js';
 import {keepFocus} from '/focus.js';
@@ -29,7 +29,7 @@ function showSoon() {
   showing ??= setTimeout(() => { showing = null; show(); }, 50);
 }
 
-const link = new Link((message) => {
+function receive(message) {
   if (message.type === 'you') {
     me = message.number;
     maySteer = message.may_steer;
@@ -47,49 +47,37 @@ const link = new Link((message) => {
     steering = message;
   }
   if (message.type === 'snapshot') {
-    byId('bench-name').textContent = message.about.bench_file;
     byId('link').title = message.about.program;
     bench = message.bench ?? {state: 'on'};
-    // A halt that is shown is outdated if somebody has moved the axes while this page was not connected.
-    if (message.halt) showHalt(message.halt);
-    else if (message.activity.activity === 'idle' || haltKnown) clearHalt();
   }
   if (message.type === 'bench') bench = message;
-  if (message.type === 'activity' && message.activity !== 'idle' && live.activity?.activity === 'idle') clearHalt();
-  if (message.type === 'halt') showHalt(message);
   const before = live.activity?.activity;
   live.receive(message);
   if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before)) statesMayHaveChanged(resume);
   for (const view of dayViews) view.receive(message);
   if (OFTEN.has(message.type)) showSoon(); else show();
-}, () => {
-  if (!link.connected) { me = null; steering = {page: null}; }
+}
+
+function contactMayHaveChanged() {
+  if (!connected()) { me = null; steering = {page: null}; }
   show();
-});
+}
 
 function lostControl(why) {
   hadControl = false;
   byId('lost-control').replaceChildren(t('This page no longer has control: '), why, ' (', timeElement(new Date(), 'clock'), ').');
 }
 
-// Shows what is known, and since when; outdated data are marked as such.
+// Nothing that is not known now looks as if it were.
 function show() {
-  const contact = link.contact, known = live.activity !== undefined;
-  document.body.classList.toggle('no-contact', !contact);
-  live.setContact(contact);
-  byId('link').textContent = contact ? t('Connected') : t('No contact');
-  const silent = byId('contact');
-  if (contact) {
-    if (silent.childNodes.length) silent.replaceChildren();
-  } else if (link.heardUtc === null) {
-    if (performance.now() > SILENT_AFTER_MS) silent.replaceChildren(t('No contact with the console yet.'));
-  } else {
-    const words = [t`No contact for ${Math.round(link.silentMs / 1000)} s, last known at `, timeElement(link.heardUtc, 'clock'), t`. The stage may be moving: ${USE_THE_SWITCH} to stop it.`];
-    silent.replaceChildren(...words);
-  }
+  const there = contact(), known = live.activity !== undefined;
+  document.body.classList.toggle('no-contact', !there);
+  live.setContact(there);
+  byId('link').textContent = there ? t('Connected') : t('No contact');
   const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench});
-  showState(contact ? state : {...state, kind: 'lost', icon: 'lost'}, contact);
-  offer(contact);
+  const {measured, total} = live.progress ?? {};
+  showBanner(state, {limit: state.limit ? limitIn(state.limit) : '', count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
+  offer(there);
 }
 
 // How long a phase may last. In simulated time that differs from the real time that a person sees pass.
@@ -98,43 +86,19 @@ function limitIn({seconds, simulated, words}) {
   return simulated ? t`Limit: ${time} of simulated time ${t(words)}.` : t`Limit: ${time} ${t(words)}.`;
 }
 
-let shown = '';
-function showState(state, contact) {
-  const word = contact ? state.word : t('No contact');
-  const sentence = contact || !state.known ? state.sentence : t`Last known: ${state.word}. ${state.sentence}`;
-  const limit = contact && state.limit ? limitIn(state.limit) : '';
-  const more = [state.fault && t`At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
-  const now = JSON.stringify([word, sentence, state.english, more, state.kind, state.icon]);
-  const {measured, total} = live.progress ?? {};
-  const count = total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : '';
-  const title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
-  if (document.title !== title) document.title = title;
-  if (now === shown) return;
-  shown = now;
-  byId('banner').dataset.kind = state.kind;
-  byId('banner-icon').firstElementChild.setAttribute('href', `#icon-${state.icon}`);
-  byId('banner-word').textContent = word;
-  if (byId('state').textContent !== sentence + state.english) byId('state').replaceChildren(sentence, said(state.english));
-  byId('banner-more').textContent = more;
-  byId('favicon').href = `/favicon-${state.kind}.svg`;
-}
-
-// Enables the controls that can be used now.
-function offer(contact) {
-  const steer = contact && me !== null && steering.page === me;
+// Enables the buttons whose requests are possible now.
+function offer(there) {
+  const steer = there && me !== null && steering.page === me;
   const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
   const set = (id, possible) => { byId(id).disabled = !possible; };
   const other = steering.page !== null && steering.page !== me;
   byId('take-control').textContent = steer ? t('Release control') : other ? t('Take control from the other page') : t('Take control');
   byId('who-steers').textContent = (other ? (steering.silent ? t`${steering.who} steers, and does not answer.` : t`${steering.who} steers.`) : '')
     + (maySteer ? '' : t(' You may watch and stop; steering needs the right to measure.'));
-  set('take-control', contact && me !== null && maySteer);
+  set('take-control', there && me !== null && maySteer);
   for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
   set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
-  // Everybody may stop, with control or without, while anything moves or its motion is unknown.
-  const mayMove = canMove(activity) || (!contact && link.heardUtc !== null) || bench.state !== 'on';
-  for (const id of ['do-stop', 'dialog-stop']) set(id, mayMove);
   const mayResume = steer && what === 'idle';
   for (const view of dayViews) view.offer(steer, what === 'idle');
   document.body.classList.toggle('may-resume', mayResume);
@@ -150,7 +114,7 @@ async function ask(name, request, {moves = true} = {}) {
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
   say(t('sent'));
   const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
-  const reply = await link.ask(request);
+  const reply = await send(request);
   clearTimeout(late);
   if (reply.ok) say(DONE_WHEN_ANSWERED.has(request.do) ? t('done') : t('accepted'));
   else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);
@@ -160,59 +124,13 @@ async function ask(name, request, {moves = true} = {}) {
   return reply.ok;
 }
 
-// Stop is sent at once, by anybody; it is done when each axis has confirmed that it is at rest.
-let stopping = null;  // Timer, while the axes have not answered.
-let haltKnown = false;  // #halt shows the answer of the axes.
-function clearHalt() {
-  haltKnown = false;
-  byId('halt').textContent = '';
-}
-
-async function stop() {
-  clearTimeout(stopping);
-  haltKnown = false;
-  const say = (words) => { byId('halt').textContent = words; };
-  say(t('Stop: sent'));
-  const unconfirmed = () => say(t`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH}`);
-  stopping = setTimeout(unconfirmed, UNCONFIRMED_AFTER_MS);
-  const reply = await link.ask({do: 'stop'});
-  if (reply.ok) return;
-  clearTimeout(stopping);
-  say(reply.unsent ? t`Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? t`Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : t`Stop: refused: ${translated(reply.why) ?? reply.why}`);
-}
-
-function showHalt({axes, took_s: took, since}) {
-  clearTimeout(stopping);
-  haltKnown = true;
-  const all = axes.x === 'halted' && axes.z === 'halted';
-  const words = {halted: t('has halted'), unreachable: t('is unreachable and may be moving')};
-  byId('halt').replaceChildren(t`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : t(' Use the switch on the stage.'));
-}
-
 byId('log-out').addEventListener('click', async () => {
-  try {
-    await fetch('/logout', {method: 'POST'});
-  } finally {
-    location.replace('/');
-  }
+  await fetch('/logout', {method: 'POST'}).catch(() => {});  // The page that is loaded next says whether there is contact.
+  location.replace('/');
 });
 
-byId('do-stop').addEventListener('click', stop);
-byId('dialog-stop').addEventListener('click', stop);
-let escaped = -Infinity;
-addEventListener('keydown', (event) => {
-  if (event.key !== 'Escape' || event.repeat) return;
-  // The time of the key press, as a busy page receives the event late.
-  if (event.timeStamp - escaped < 1000) {
-    escaped = -Infinity;
-    if (!byId('do-stop').disabled) stop();
-  } else {
-    escaped = event.timeStamp;
-  }
-}, {capture: true});
-
-// Asks a person for a confirmation, by a dialog with the focus on "Cancel".
-// more: a form in the dialog (open(holder, yes)).
+// A person's yes, by a dialog that begins at "Cancel".
+// more: a form that stands in it (open(holder, yes)).
 function confirmed(title, text, yes, more = null) {
   const dialog = byId('confirm');
   byId('confirm-title').textContent = title;
@@ -277,25 +195,39 @@ byId('resume-interrupted').addEventListener('click', () => {
   resume(file, measured === planned, items);
 });
 
+// The parts of the address after "#"; nothing if it cannot be decoded, as "#runs/%E0%A4%A".
+function partsOfAddress() {
+  try {
+    return location.hash.slice(1).split('/').map((part) => decodeURIComponent(part));
+  } catch {
+    return [];
+  }
+}
+
+const VIEWS = ['live', 'queue', 'bench', 'runs', 'compare', 'chart'];
 function route() {
   endMaking();
-  const [view, ...rest] = location.hash.slice(1).split('/');
-  const kiosk = view === 'kiosk';
-  const name = ['live', 'queue', 'bench', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  const [view, ...rest] = partsOfAddress();
+  const kiosk = view === 'kiosk', known = kiosk || view === '' || VIEWS.includes(view);
+  const name = VIEWS.includes(view) ? view : 'live';
   document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
-  if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0]), rest[1]) : showRuns(resume);
-  if (name === 'compare') showCompare();
-  if (name === 'chart') showChart();
+  byId('unknown-address').textContent = known ? '' : t`This page has no view with the address ${location.hash}. It shows the view Live.`;
   for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name}`;
   for (const a of document.querySelectorAll('nav a')) {
     if (a.hash === `#${name}` && !kiosk) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');
   }
+  if (name === 'runs') rest.length ? showRun(rest[0], rest[1]) : showRuns(resume);
+  if (name === 'compare') showCompare();
+  if (name === 'chart') showChart();
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
+// It leads to the content of this view, and is the address of none.
+document.querySelector('.skip').addEventListener('click', (event) => { event.preventDefault(); byId('main').focus(); });
 offerLanguage(byId('language'), () => { byId('reply').textContent = t('Language: not changed, there is no connection to the console'); answered = true; });
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
 keepFocus(byId('top'));
 readyForPaper();
-route();
 show();
+attach({receive, contact: contactMayHaveChanged});
+route();

@@ -1,7 +1,7 @@
 // The certificates of a run: those issued, and the approval. The approver is authenticated each time, by a password or by a key that
 // stays in its place: the certificate is downloaded, signed where the key is, and handed in.
 import {element, DASH} from '/text.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 

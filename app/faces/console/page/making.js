@@ -1,6 +1,6 @@
 // Requests that take the console seconds: shown with a text and a button "Cancel", which also ends the work at the console.
 import {element} from '/text.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 

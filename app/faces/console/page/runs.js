@@ -2,7 +2,7 @@
 import {byId, decimals, duration, element, number, scrollable, signed, small, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
 import {resultItems} from '/items.js';

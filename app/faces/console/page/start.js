@@ -2,7 +2,7 @@
 // start, and contains nothing that the console has not stated.
 import {duration, element, small, DASH} from '/text.js';
 import {said} from '/said.js';
-import {fetched} from '/link.js';
+import {fetched} from '/fetched.js';
 import {withoutMissing} from '/items.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';

@@ -1,7 +1,7 @@
 import {t} from '/language.js';
+import {bannerState, plainState} from '/stop.js';
 
-// The activity of the bench in one word, with a sentence and advice for people: a pure function of the server's messages.
-// kind: colour and icon of the tab (favicon-KIND.svg). english: a further text of the program, in English only.
+// The state of the bench for the banner, in more detail than plainState(): a pure function of the server's messages.
 const PHASES = {
   homing: [t('Homing'), 'busy', 'homing', t('The axes are homed')],
   'warming up': [t('Warming up'), 'busy', 'settling', t('Warming up')],
@@ -28,35 +28,27 @@ const ADVICE = {
   'implausible readings': t('Look at the accelerometer and its cable; then check the bench.'),
 };
 
-const made = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sentence, fault: '', todo: '', limit: null, known: true, english: '', ...more});
-
-export const canMove = (activity) => ['running', 'checking', 'jogging'].includes(activity.activity);
-
-// Arguments are as in the messages. known: a message has arrived.
-export function stateOf({known, activity, phase, ended, fault, bench}) {
-  if (!known) return made(t('No contact'), 'lost', 'lost', t('Nothing is known of the bench yet'), {todo: t('Use the switch on the stage if it must stop now.'), known: false});
-  if (bench && bench.state !== 'on') {
-    return made(t('Not known'), 'fault', 'lost', t(bench.words), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
-  }
-  const what = activity.activity;
-  if (what !== 'idle' && activity.stop_asked) return made(t('Stopping'), 'fault', 'stop', t('Stopping: the stage is being halted'), {todo: t('Use the switch on the stage if it still moves.')});
-  if (what === 'checking') return made(t('Checking'), 'busy', 'reading', t('Checking the bench'));
-  if (what === 'jogging') return made(t('Moving'), 'busy', 'moving', t('The stage is jogged'));
-  if (what === 'analysing') return made(t('Analysing'), 'busy', 'reading', t('All angles are measured; the run is being analysed'));
-  if (what === 'running') {
-    if (!phase) return made(t('Starting'), 'busy', 'homing', t('The run begins'));
-    const [word, kind, icon, sentence] = PHASES[phase.phase] ?? [phase.phase, 'busy', 'moving', phase.phase];
-    const limit = phase.limit_s === null || phase.limit_s === undefined ? null : {seconds: phase.limit_s, words: phase.limit_words, simulated: phase.limit_simulated};
-    const asked = activity.hold_asked && phase.phase !== 'held' ? t('; it holds after this angle') : '';
-    const todo = {held: t('Continue or stop when you are ready.'), 'waiting for a port to come back': t('Plug it in again; the run goes on by itself.')}[phase.phase] ?? '';
-    return made(word, kind, icon, sentence + asked, {limit, todo, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});
-  }
+// view: {known, activity, phase, run, ended, fault, bench}, each as the messages have them; known: something was said at all.
+export function stateOf(view) {
+  const {known, activity, phase, ended, fault, bench} = view, plain = plainState(view);
+  if (!known || bench.state !== 'on') return plain;
+  if (activity.activity === 'running' && !activity.stop_asked) return runningState(activity, phase);
+  if (activity.activity !== 'idle') return plain;
   if (fault) {
     const interrupted = ended && !ended.complete ? t('The run is interrupted and can be resumed: ') : '';
-    return made(t('Faulted'), 'fault', 'fault', interrupted, {english: fault.words, fault: fault.instrument, todo: ADVICE[fault.fault] ?? t('Look at the log; then check the bench.')});
+    return {...plain, sentence: interrupted, todo: ADVICE[fault.fault] ?? t('Look at the log; then check the bench.')};
   }
-  if (ended && ended.complete && !ended.words) return made(t('Finished'), 'done', 'done', t('The levelling is complete. Its result is on the view Bench.'));
-  if (ended && ended.complete) return made(t('Finished'), 'done', 'done', t('The run is complete. Result: '), {english: ended.words});
-  if (ended) return made(t('Interrupted'), 'held', 'stop', t('The run is interrupted and can be resumed: '), {english: ended.words, todo: t('Resume it when the stage is clear.')});
-  return made(t('Idle'), 'idle', 'idle', t('No run is in progress.'));
+  if (ended && ended.complete && !ended.words) return bannerState(t('Finished'), 'done', 'done', t('The levelling is complete. Its result is on the view Bench.'));
+  if (ended && ended.complete) return bannerState(t('Finished'), 'done', 'done', t('The run is complete. Result: '), {english: ended.words});
+  if (ended) return bannerState(t('Interrupted'), 'held', 'stop', t('The run is interrupted and can be resumed: '), {english: ended.words, todo: t('Resume it when the stage is clear.')});
+  return plain;
+}
+
+function runningState(activity, phase) {
+  if (!phase) return bannerState(t('Starting'), 'busy', 'homing', t('The run begins'));
+  const [word, kind, icon, sentence] = PHASES[phase.phase] ?? [phase.phase, 'busy', 'moving', phase.phase];
+  const limit = phase.limit_s === null || phase.limit_s === undefined ? null : {seconds: phase.limit_s, words: phase.limit_words, simulated: phase.limit_simulated};
+  const asked = activity.hold_asked && phase.phase !== 'held' ? t('; it holds after this angle') : '';
+  const todo = {held: t('Continue or stop when you are ready.'), 'waiting for a port to come back': t('Plug it in again; the run goes on by itself.')}[phase.phase] ?? '';
+  return bannerState(word, kind, icon, sentence + asked, {limit, todo, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});
 }
