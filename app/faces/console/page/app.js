@@ -7,7 +7,7 @@ import {endMaking} from '/making.js';
 import {QueueView} from '/queue.js';
 import {StartForm} from '/start.js';
 import {stateOf} from '/state.js';
-import {ask as send, attach, connected, contact, showBanner, UNCONFIRMED_AFTER_MS} from '/stop.js';
+import {ask as send, attach, axes, connected, contact, showBanner, UNCONFIRMED_AFTER_MS} from '/stop.js';
 import {offerTimes, timeElement} from '/time.js';
 import {offerLanguage, t, translate} from '/language.js';
 import {keepFocus} from '/focus.js';
@@ -74,7 +74,7 @@ function show() {
   document.body.classList.toggle('no-contact', !there);
   live.setContact(there);
   byId('link').textContent = there ? t('Connected') : t('No contact');
-  const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench});
+  const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench, axes: axes()});
   const {measured, total} = live.progress ?? {};
   showBanner(state, {limit: state.limit ? limitIn(state.limit) : '', count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
   offer(there);

@@ -1,5 +1,5 @@
 import {t} from '/language.js';
-import {bannerState, plainState} from '/stop.js';
+import {areAtRest, bannerState, plainState} from '/stop.js';
 
 // The state of the bench for the banner, in more detail than plainState(): a pure function of the server's messages.
 const PHASES = {
@@ -28,12 +28,12 @@ const ADVICE = {
   'implausible readings': t('Look at the accelerometer and its cable; then check the bench.'),
 };
 
-// view: {known, activity, phase, run, ended, fault, bench}, each as the messages have them; known: something was said at all.
+// view: {known, activity, phase, run, ended, fault, bench, axes}, each as the messages have them; known: something was said at all.
 export function stateOf(view) {
-  const {known, activity, phase, ended, fault, bench} = view, plain = plainState(view);
+  const {known, activity, phase, ended, fault, bench, axes} = view, plain = plainState(view);
   if (!known || bench.state !== 'on') return plain;
   if (activity.activity === 'running' && !activity.stop_asked) return runningState(activity, phase);
-  if (activity.activity !== 'idle') return plain;
+  if (activity.activity !== 'idle' || !areAtRest(axes)) return plain;
   if (fault) {
     const interrupted = ended && !ended.complete ? t('The run is interrupted and can be resumed: ') : '';
     return {...plain, sentence: interrupted, todo: ADVICE[fault.fault] ?? t('Look at the log; then check the bench.')};

@@ -131,6 +131,11 @@ export function ask(request) {
 // ---- What is known of the bench: as much as Stop and a plain banner need.
 
 let activity = null, bench = {state: 'on'}, fault = null;
+// State of the axes by the guard of the stage, which answers also while the process that holds the bench does not.
+let guarded = {x: {state: 'not moved'}, z: {state: 'not moved'}};
+export const axes = () => guarded;
+const RESTLESS = ['may be moving', 'unreachable'];
+export const areAtRest = ({x, z}) => !RESTLESS.includes(x.state) && !RESTLESS.includes(z.state);
 
 function note(message) {
   const before = activity?.activity;
@@ -153,6 +158,8 @@ function note(message) {
     fault = message;
   } else if (message.type === 'halt') {
     showHalt(message);
+  } else if (message.type === 'guard') {
+    guarded = message.axes;
   } else {
     return;
   }
@@ -165,16 +172,30 @@ function note(message) {
 // english: what the program says further, in English alone.
 export const bannerState = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sentence, fault: '', todo: '', limit: null, known: true, english: '', ...more});
 
-// As far as it follows from what the bench is busy with.
+// The axes in words, where one of them is not confirmed at rest; empty otherwise.
+function axesInWords({x, z}) {
+  if (areAtRest({x, z})) return '';
+  const one = (name, {state, since}) => {
+    const at = since ? `${since.slice(11, 19)} UTC` : '';
+    if (state === 'unreachable') return t`Axis ${name} is unreachable since ${at} and may be moving.`;
+    if (state === 'may be moving') return t`Axis ${name} may be moving.`;
+    return at ? t`Axis ${name} is at rest, confirmed at ${at}.` : t`Axis ${name} was not moved.`;
+  };
+  return `${one('X', x)} ${one('Z', z)}`;
+}
+
+// As far as it follows from the activity of the bench and from its guard.
 export function plainState(view) {
   if (!view.known) return bannerState(t('No contact'), 'lost', 'lost', t('Nothing is known of the bench yet'), {todo: t('Use the switch on the stage if it must stop now.'), known: false});
-  if (view.bench.state !== 'on') return bannerState(t('Not known'), 'fault', 'lost', t(view.bench.words), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
+  const moving = axesInWords(view.axes);
+  if (view.bench.state !== 'on') return bannerState(t('Not known'), 'fault', 'lost', [t(view.bench.words), moving].filter(Boolean).join(' '), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
   const what = view.activity.activity;
   if (what !== 'idle' && view.activity.stop_asked) return bannerState(t('Stopping'), 'fault', 'stop', t('Stopping: the stage is being halted'), {todo: t('Use the switch on the stage if it still moves.')});
   if (what === 'checking') return bannerState(t('Checking'), 'busy', 'reading', t('Checking the bench'));
   if (what === 'jogging') return bannerState(t('Moving'), 'busy', 'moving', t('The stage is jogged'));
   if (what === 'analysing') return bannerState(t('Analysing'), 'busy', 'reading', t('All angles are measured; the run is being analysed'));
   if (what !== 'idle') return bannerState(t('Running'), 'busy', 'moving', t('A run is in progress; the stage may move'));
+  if (moving) return bannerState(t('Not at rest'), 'fault', 'moving', moving, {todo: t('The guard halts it until that is confirmed. Use the switch on the stage if it still moves.')});
   if (view.fault) return bannerState(t('Faulted'), 'fault', 'fault', '', {english: view.fault.words, fault: view.fault.instrument});
   return bannerState(t('Idle'), 'idle', 'idle', t('No run is in progress.'));
 }
@@ -224,9 +245,9 @@ function show() {
   const silent = silence(), lost = byId('contact'), failed = byId('failed'), problem = missing();
   if (silent.length || lost.childNodes.length) lost.replaceChildren(...silent);
   if (failed.textContent !== problem) failed.textContent = problem;
-  if (!rest || failure) write(plainState({known: activity !== null, activity, bench, fault}));
+  if (!rest || failure) write(plainState({known: activity !== null, activity, bench, fault, axes: guarded}));
   // Everybody may stop, with control or without, as long as anything can move or nobody knows whether it does.
-  const mayMove = (activity && !['idle', 'analysing'].includes(activity.activity)) || (!contact() && heardUtc !== null) || bench.state !== 'on';
+  const mayMove = (activity && !['idle', 'analysing'].includes(activity.activity)) || (!contact() && heardUtc !== null) || bench.state !== 'on' || !areAtRest(guarded);
   for (const id of ['do-stop', 'dialog-stop']) byId(id).disabled = !mayMove;
 }
 
