@@ -10,10 +10,12 @@
 #include <cmath>
 #include <csignal>
 #include <cstdlib>
+#include <filesystem>
 #include <numbers>
 #include <sstream>
 
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/system/helper_program.h"
 #include "app/ground/system/last_signal.h"
 #include "app/operate/bench/make_bench.h"
 #include "drivers/instrument/instrument_error.h"
@@ -182,6 +184,7 @@ TEST(SignalPolicyDeathTest, WhoeverOpensAStageHasUndertakenAnOrderlyEnd) {
   const auto open = [](const std::string& port) {
     heed_signals();
     watch_for_signals();
+    set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());  // The guard opens the port.
     BenchText bench;
     bench.stage_port = port;
     try {

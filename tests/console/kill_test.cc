@@ -318,6 +318,29 @@ TEST_F(KilledConsoleTest, AStopIsConfirmedForEachAxisWithinHalfASecond) {
   fmt::print("5 stops: both axes were confirmed after {:.0f} ms at the latest\n", 1e3 * slowest_s);
 }
 
+TEST_F(KilledConsoleTest, StopReachesTheGuardOfAHolderThatHangs) {
+  bench.motion = "speed_deg_per_s = 5.0\nacceleration_deg_per_s2 = 2000.0\n";
+  start_emulator();
+  start_console();
+  auto page = page_that_steers();
+  ASSERT_TRUE(page->ok(kStart));
+  page->wait_for_type("dwell_done");
+  std::mt19937_64 random(20261128);
+  wait_until_in_motion(random, *server);
+  ::kill(holder(), SIGSTOP);
+  const auto asked = std::chrono::steady_clock::now();
+  EXPECT_TRUE(page->ok({{"do", "stop"}}));
+  EXPECT_LE(std::chrono::steady_clock::now() - asked, 1s);
+  EXPECT_FALSE(control->anything_moves());
+  const Json known = page->wait_for(
+      [](const Json& m) { return m["type"] == "guard" && m["axes"]["x"]["state"] == "at rest"; },
+      "the rest of the axes");
+  EXPECT_THAT(known["halted"].get<std::string>(), HasSubstr("stopped by"));
+  ::kill(holder(), SIGCONT);
+  page->wait_for_activity("idle");
+  EXPECT_EQ(RunFile::load(only_run()).state, RunState::kInterrupted);
+}
+
 TEST_F(KilledConsoleTest, AConsoleThatIsStoppedByItsServiceLeavesTheRunAlone) {
   start_emulator();
   start_console();

@@ -6,10 +6,12 @@
 #include <boost/asio/post.hpp>
 #include <chrono>
 #include <filesystem>
+#include <iterator>
 #include <utility>
 
 #include "app/faces/console/bench_service.h"
 #include "app/ground/system/output.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal::console {
 namespace {
@@ -61,6 +63,21 @@ void Control::receive_guard(const GuardWatch::Known& known) {
   guard_ = known;
   const SharedText text = shared(text_of(guard_.message));
   for (const std::shared_ptr<Page>& page : pages_) page->send(text);
+  if (stop_asked_at_ && known.is_at_rest && known.message.contains("halted")) confirm_stop();
+}
+
+/// The guard has halted the stage in place of the process that holds the bench.
+void Control::confirm_stop() {
+  const double took_s = to_seconds(common_.clock.now() - *std::exchange(stop_asked_at_, std::nullopt));
+  broadcast(text_of({{"type", "halt"},
+                     {"axes", {{"x", "halted"}, {"z", "halted"}}},
+                     {"took_s", took_s},
+                     {"since", format_utc(common_.clock.utc_now())}}));
+  for (auto passed = passed_on_.begin(); passed != passed_on_.end();) {
+    const std::shared_ptr<Page> page = passed->second.is_stop ? passed->second.page.lock() : nullptr;
+    if (page) page->reply(reply_to(passed->second.id, ""));
+    passed = passed->second.is_stop ? passed_on_.erase(passed) : std::next(passed);
+  }
 }
 
 // ---- The bench
@@ -114,6 +131,7 @@ void Control::receive_reply(const Json& reply) {
   std::string why = reply.at("ok").get<bool>() ? "" : reply.at("why").get<std::string>();
   // The process that holds the bench has nothing to stop, but its guard has.
   if (answered.is_stop && !guard_.is_at_rest) why.clear();
+  if (answered.is_stop && guard_.is_at_rest) stop_asked_at_.reset();
   if (!why.empty()) common_.log_refusal(page->peer(), answered.text, why);
   page->reply(reply_to(answered.id, why));
 }
@@ -209,6 +227,7 @@ std::optional<std::string> Control::carry_out(Page& page, const Request& request
   }
   const bool is_stop = std::holds_alternative<Stop>(request.command);
   if (is_stop) {
+    stop_asked_at_ = common_.clock.now();
     const bool answers = bench_->is_on() && bench_state_ == BenchState::kOn;
     guard_watch_->stop(page.asker().for_people(),
                        answers ? kPatienceWithBench : std::chrono::milliseconds(0));

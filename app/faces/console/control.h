@@ -63,6 +63,7 @@ class Control {
   void receive_reply(const Json& reply);
   void note_end(bool was_on);
   void receive_guard(const GuardWatch::Known& known);
+  void confirm_stop();
   /// @return the reason of a refusal, empty: done; absent: the bench replies to it
   std::optional<std::string> carry_out(Page& page, const Request& request, std::string_view text);
   Session::Refusal take_control(Page& page, const TakeControl& take);
@@ -82,8 +83,9 @@ class Control {
   Page* controller_ = nullptr;
   bool controller_silent_ = false;
   std::int64_t pages_so_far_ = 0;
-  GuardWatch::Known guard_;                  ///< As the guards told last.
-  std::unique_ptr<GuardWatch> guard_watch_;  ///< Last: its thread ends before the members that it uses.
+  GuardWatch::Known guard_;                      ///< As the guards told last.
+  std::optional<Clock::Instant> stop_asked_at_;  ///< A Stop that neither bench nor guard has confirmed yet.
+  std::unique_ptr<GuardWatch> guard_watch_;      ///< Last: its thread ends before the members that it uses.
 };
 
 }  // namespace abcal::console

@@ -13,6 +13,7 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr std::chrono::milliseconds kInterval{500};
+constexpr std::chrono::milliseconds kIntervalAfterStop{50};
 constexpr std::chrono::milliseconds kAnswerTime{300};
 
 /// How much a person must know of a state; of several guards the worst counts.
@@ -41,18 +42,23 @@ void GuardWatch::stop(const std::string& by, std::chrono::milliseconds patience)
 
 void GuardWatch::watch(const std::stop_token& end) {
   std::string last;
+  bool is_halting = false;  // A halt that a person asked for is not confirmed yet.
   while (!end.stop_requested()) {
     std::optional<StopOrder> due;
     {
       std::unique_lock lock(mutex_);
-      const auto next = std::chrono::steady_clock::now() + kInterval;
+      const auto next = std::chrono::steady_clock::now() + (is_halting ? kIntervalAfterStop : kInterval);
       changed_.wait_until(lock, end, order_ ? std::min(next, order_->at) : next,
                           [this] { return order_ && order_->at <= std::chrono::steady_clock::now(); });
       if (end.stop_requested()) return;
       if (order_ && order_->at <= std::chrono::steady_clock::now()) due = std::exchange(order_, std::nullopt);
     }
     Known known = ask({{"kind", "status"}});
-    if (due && !known.is_at_rest) known = ask({{"kind", "halt"}, {"by", due->by}});
+    if (due && !known.is_at_rest) {
+      known = ask({{"kind", "halt"}, {"by", due->by}});
+      is_halting = true;
+    }
+    is_halting = is_halting && !known.is_at_rest;
     if (std::string text = known.message.dump(); text != last) {
       last = std::move(text);
       notify_(known);
