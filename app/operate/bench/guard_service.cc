@@ -155,10 +155,6 @@ void GuardService::check_beat() {
 /// says.
 void GuardService::halt(const std::string& why, bool chambers) {
   halted_because_ = why;
-  {
-    const std::lock_guard lock(mutex_);
-    beat_.may_move = {};  // From here on the connections know.
-  }
   for (const auto& [name, connection] : connections_) {
     const GuardedConnection::Status status = connection->status();
     if (!status.chamber.empty() && !chambers) continue;
@@ -166,6 +162,12 @@ void GuardService::halt(const std::string& why, bool chambers) {
     // A port that is closed, or where a halt is under way already: the owner learns so at once.
     const bool is_new = status.is_done() && status.state != GuardedConnection::State::kClosed;
     if (!is_new && (status.axes[0] || status.axes[1])) report_halt(name, status);
+  }
+  {
+    // From here on the connections know. Not before: a port that is lost now asks whether its axes may be
+    // moving.
+    const std::lock_guard lock(mutex_);
+    beat_.may_move = {};
   }
   log(GuardLog::kHalting, why);
   send({{"kind", to_owner::kHalting}, {"why", why}});

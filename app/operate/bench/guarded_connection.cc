@@ -215,9 +215,10 @@ void GuardedConnection::lose(const std::string& why) {
   }
   const bool may_move = listener_.lost(why);
   const std::lock_guard lock(mutex_);
+  const bool is_halting = !status_.is_done();  // Asked for while the port was being lost.
   status_.detail = why;
   status_.since = clock_.utc_now();
-  if (!may_move || recipes_.empty()) {
+  if ((!may_move && !is_halting) || recipes_.empty()) {
     status_.state = State::kClosed;
     return;
   }

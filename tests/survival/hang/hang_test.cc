@@ -250,6 +250,7 @@ class HangTest : public ProgramTest {
       // The next run finds the ports free.
       ASSERT_TRUE(test::wait_for([&] { return ::kill(guard, 0) != 0 || guard_of(run->pid()) < 0; }, 20s));
     }
+    if (HasFailure()) fmt::print("{}", test::read_file(folder / "state/abcal/motion.log"));
     fmt::print("{} {}: {} times, at rest after {} ms at the latest\n", stage, name_of(injection), times,
                slowest.count());
   }
