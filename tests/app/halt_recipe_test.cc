@@ -13,6 +13,7 @@
 #include <tuple>
 
 #include "app/ground/system/real_clock.h"
+#include "app/operate/bench/halt_guard.h"
 #include "app/operate/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/split_stage.h"
@@ -184,6 +185,19 @@ TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
   EXPECT_EQ(status, 0) << "not acknowledged";
 }
 
+TEST_P(HaltRecipes, AreTheSameOnceSentToTheGuard) {
+  HaltRig<sim::SimClock> rig(GetParam());
+  const GuardedPort before{.name = "port", .recipes = rig.driver->halt_recipes()};
+  rig.driver->identify();
+  const GuardedPort after{.name = "port", .recipes = rig.driver->halt_recipes()};
+  for (const GuardedPort& port : {before, after}) {
+    ASSERT_FALSE(port.recipes.empty());
+    const std::vector<std::uint8_t> packet = packet_of(port);
+    EXPECT_EQ(port_of(packet), port);
+    EXPECT_LT(packet.size(), 16'384U) << "of the 64 KiB that the guard takes";
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stage_variants()),
                          [](const auto& name) { return name.param; });
 
@@ -278,6 +292,16 @@ TEST_P(ChamberRecipes, DriveToAmbientAfterAnyPartOfAnyCommand) {
   }
 }
 
+TEST_P(ChamberRecipes, AreTheSameOnceSentToTheGuard) {
+  ChamberRig rig(GetParam());
+  for (const ChamberPolicy policy : {ChamberPolicy::kAmbient, ChamberPolicy::kHold}) {
+    const auto recipe = rig.driver->rest_recipe(policy);
+    if (!recipe) continue;  // Of ASCII-2, to hold.
+    const GuardedPort port{.name = "chamber", .recipes = {*recipe}};
+    EXPECT_EQ(port_of(packet_of(port)), port);
+  }
+}
+
 TEST_P(ChamberRecipes, HoldEndsThePauseAndNothingElse) {
   ChamberRig rig(GetParam());
   const auto recipe = rig.driver->rest_recipe(ChamberPolicy::kHold);
@@ -317,6 +341,26 @@ TEST_P(ChamberRecipes, AskForWhatWasIdentifiedFirst) {
 
 INSTANTIATE_TEST_SUITE_P(EachChamber, ChamberRecipes, testing::ValuesIn(chambers()),
                          [](const auto& which) { return which.param.name; });
+
+TEST(HaltGuardPacket, EveryByteAndEveryKindOfPartArrives) {
+  std::string bytes;
+  for (int byte = 0; byte < 256; ++byte) bytes += static_cast<char>(byte);
+  const ReplyPattern all =
+      ReplyPattern{pattern::literal(bytes), pattern::zero_bits(bytes), pattern::run(bytes, 2)} |
+      ReplyPattern{pattern::number(7, pattern::kAnyCount), pattern::text()};
+  const HaltRecipe recipe{.driver = "test",
+                          .axes = {false, true},
+                          .end_partial = bytes,
+                          .stop = bytes,
+                          .questions = {{.bytes = bytes, .reply = all, .standing = {}, .listen = 70ms},
+                                        {.bytes = "?", .reply = {pattern::text()}, .standing = all}},
+                          .reply_time = 1234ms,
+                          .reply_end = bytes,
+                          .binary = true,
+                          .chamber = "holds"};
+  const GuardedPort port{.name = "port", .recipes = {recipe, HaltRecipe()}};
+  EXPECT_EQ(port_of(packet_of(port)), port);
+}
 
 /// Two controllers in a daisy chain, one of which is cut off while both axes turn.
 class ChainHalts : public testing::TestWithParam<std::tuple<std::string, StageAxis>> {

@@ -27,7 +27,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// A packet of the socket; recipes are a few hundred bytes each.
+/// A packet of the socket; recipes are one or two kilobytes each.
 constexpr std::size_t kLongestPacket = 64 * 1024;
 constexpr int kAnswerTimeMs = 5000;
 /// The guard tries so long to have the halt acknowledged.
@@ -35,12 +35,35 @@ constexpr std::chrono::seconds kHaltTime{20};
 
 // Bytes of a recipe need not be UTF-8: MessagePack, not text.
 
+Json pattern_json(const ReplyPattern& pattern) {
+  Json alternatives = Json::array();
+  for (const std::vector<ReplyPart>& alternative : pattern.alternatives) {
+    Json parts = Json::array();
+    for (const ReplyPart& part : alternative)
+      parts.push_back(Json::array({part.kind, part.bytes, part.mask, part.least, part.most}));
+    alternatives.push_back(std::move(parts));
+  }
+  return alternatives;
+}
+
+ReplyPattern pattern_from(const Json& json) {
+  ReplyPattern pattern;
+  for (const Json& alternative : json) {
+    std::vector<ReplyPart>& parts = pattern.alternatives.emplace_back();
+    for (const Json& part : alternative)
+      parts.push_back({part.at(0).get<ReplyPart::Kind>(), part.at(1).get<std::string>(),
+                       part.at(2).get<std::string>(), part.at(3).get<std::uint32_t>(),
+                       part.at(4).get<std::uint32_t>()});
+  }
+  return pattern;
+}
+
 Json recipe_json(const HaltRecipe& recipe) {
   Json questions = Json::array();
   for (const HaltRecipe::Question& question : recipe.questions)
     questions.push_back({{"bytes", question.bytes},
-                         {"reply", question.reply},
-                         {"standing", question.standing},
+                         {"reply", pattern_json(question.reply)},
+                         {"standing", pattern_json(question.standing)},
                          {"listen_ms", question.listen.count()}});
   return {{"driver", recipe.driver},
           {"x", recipe.axes[0]},
@@ -65,16 +88,10 @@ HaltRecipe recipe_from(const Json& json) {
   recipe.binary = json.at("binary").get<bool>();
   recipe.chamber = json.at("chamber").get<std::string>();
   for (const Json& each : json.at("questions"))
-    recipe.questions.push_back({each.at("bytes").get<std::string>(), each.at("reply").get<std::string>(),
-                                each.at("standing").get<std::string>(),
+    recipe.questions.push_back({each.at("bytes").get<std::string>(), pattern_from(each.at("reply")),
+                                pattern_from(each.at("standing")),
                                 std::chrono::milliseconds(each.at("listen_ms").get<std::int64_t>())});
   return recipe;
-}
-
-std::vector<std::uint8_t> packet_of(const GuardedPort& port) {
-  Json recipes = Json::array();
-  for (const HaltRecipe& recipe : port.recipes) recipes.push_back(recipe_json(recipe));
-  return Json::to_msgpack({{"port", port.name}, {"recipes", std::move(recipes)}});
 }
 
 /// Room for the one descriptor that may come with a packet.
@@ -150,6 +167,20 @@ struct HeldPort {
 
 }  // namespace
 
+std::vector<std::uint8_t> packet_of(const GuardedPort& port) {
+  Json recipes = Json::array();
+  for (const HaltRecipe& recipe : port.recipes) recipes.push_back(recipe_json(recipe));
+  return Json::to_msgpack({{"port", port.name}, {"recipes", std::move(recipes)}});
+}
+
+std::optional<GuardedPort> port_of(const std::vector<std::uint8_t>& packet) {
+  const Json json = Json::from_msgpack(packet);
+  if (json.contains("at_rest")) return std::nullopt;
+  GuardedPort port{.name = json.at("port").get<std::string>(), .recipes = {}};
+  for (const Json& recipe : json.at("recipes")) port.recipes.push_back(recipe_from(recipe));
+  return port;
+}
+
 HaltGuard::~HaltGuard() {
   end();
 }
@@ -199,15 +230,12 @@ void HaltGuard::hold(const GuardedPort& port, int descriptor) {
 std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock) {
   std::map<std::string, HeldPort> held;
   while (const std::optional<Packet> packet = receive_packet(socket)) {
-    const Json json = Json::from_msgpack(packet->bytes);
-    if (json.contains("at_rest")) return {};
-    HeldPort port;
-    port.port.name = json.at("port").get<std::string>();
-    port.descriptor = packet->descriptor;
-    for (const Json& recipe : json.at("recipes")) port.port.recipes.push_back(recipe_from(recipe));
-    const auto before = held.find(port.port.name);
+    std::optional<GuardedPort> port = port_of(packet->bytes);
+    if (!port) return {};
+    const std::string name = port->name;
+    const auto before = held.find(name);
     if (before != held.end()) ::close(before->second.descriptor);
-    held.insert_or_assign(port.port.name, std::move(port));
+    held.insert_or_assign(name, HeldPort{std::move(*port), packet->descriptor});
     constexpr char kTaken = 1;
     (void)::send(socket, &kTaken, 1, MSG_NOSIGNAL);
   }

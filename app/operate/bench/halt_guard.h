@@ -2,6 +2,8 @@
 
 #include <sys/types.h>
 
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,9 +14,18 @@ namespace abcal {
 
 /// A port of a stage or of a chamber, as another process holds it.
 struct GuardedPort {
+  bool operator==(const GuardedPort&) const = default;
+
   std::string name;  ///< For messages.
   std::vector<HaltRecipe> recipes;
 };
+
+/// A port as it is sent to the guard (MessagePack), and back. @{
+std::vector<std::uint8_t> packet_of(const GuardedPort& port);
+/// @return nothing: the packet says that stage and chamber are at rest
+/// @throws nlohmann::json::exception for any other packet that packet_of() has not made
+std::optional<GuardedPort> port_of(const std::vector<std::uint8_t>& packet);
+/// @}
 
 /// The owner's end of a guard: a process of its own (abcal-guard) that holds the descriptors of the ports of
 /// a stage and a chamber and does nothing with them until this process has died; then it halts the axes and
