@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "drivers/instrument/reply_pattern.h"
+
 namespace abcal {
 
 /// State of one axis after a halt. There is no "probably": an axis that did not acknowledge may be moving.
@@ -34,16 +36,18 @@ std::string in_words(const HaltReport& report);
 /// wire::carry_out() does it.
 struct HaltRecipe {
   /// A question whose reply says whether the axes stand still, or, without `standing`, that all replies
-  /// before it belong to the past. Also a command of which each waits for its reply. Patterns are ECMAScript
-  /// regular expressions for one whole reply (of a binary protocol: for a part of the hexadecimal digits of
-  /// all that came since the question).
+  /// before it belong to the past. Also a command of which each waits for its reply.
   struct Question {
+    bool operator==(const Question&) const = default;
+
     std::string bytes;
-    std::string reply;     ///< A line that answers this question; other lines are skipped.
-    std::string standing;  ///< Pattern of replies that report standstill; empty: does not matter.
+    ReplyPattern reply;     ///< Replies to this question; others are skipped.
+    ReplyPattern standing;  ///< Replies that report standstill; empty: does not matter.
     /// Several devices may answer: all that come within this time after the first must say so.
     std::chrono::milliseconds listen{0};
   };
+
+  bool operator==(const HaltRecipe&) const = default;
 
   std::string driver;                          ///< For messages: "pi_gcs".
   std::array<bool, 2> axes{};                  ///< Axes on this port, by index(StageAxis).
@@ -52,8 +56,9 @@ struct HaltRecipe {
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
   std::string reply_end{};                     ///< Terminator of a reply; empty: CR, LF or both.
-  /// Replies have no end that can be seen: patterns are searched for in the received bytes written as
-  /// hexadecimal digits, two lower-case ones for each byte.
+  /// Replies have no end that can be seen: patterns are searched for in the newest kLongestHaltReply bytes
+  /// that came since the question. Otherwise a pattern is for one whole reply without its terminator, and a
+  /// longer reply is skipped up to its terminator.
   bool binary = false;
   /// For a chamber: its action afterwards, in words ("is driven to 23 degC"). Empty for a stage.
   std::string chamber{};

@@ -406,17 +406,19 @@ class NewportEspController final : public wire::LineController {
 
   /// A half-written command ends in words that no command has, which the controller refuses.
   std::vector<HaltRecipe> halt_recipes() const override {
-    HaltRecipe recipe{
-        .driver = "newport_esp",
-        .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
-        .end_partial = "!\r",
-        .stop = command_line("ST"),
-        .questions = {{.bytes = command_line(kIdentityQuery), .reply = "ESP30.*", .standing = {}}},
-        .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+    HaltRecipe recipe{.driver = "newport_esp",
+                      .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
+                      .end_partial = "!\r",
+                      .stop = command_line("ST"),
+                      .questions = {{.bytes = command_line(kIdentityQuery),
+                                     .reply = {pattern::literal("ESP30"), pattern::text()},
+                                     .standing = {}}},
+                      .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
     for (const std::string& name : settings_.axis_names) {
       if (name.empty()) continue;
-      recipe.questions.push_back(
-          {.bytes = command_line(name + "MD?"), .reply = " *[01] *", .standing = " *1 *"});
+      recipe.questions.push_back({.bytes = command_line(name + "MD?"),
+                                  .reply = {pattern::spaces(), pattern::number(0, 1), pattern::spaces()},
+                                  .standing = {pattern::spaces(), pattern::literal("1"), pattern::spaces()}});
     }
     return {recipe};
   }

@@ -421,16 +421,24 @@ class NewportXpsController final : public wire::LineController {
                       .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline),
                       .reply_end = std::string(kReplyEnd)};
     // Bytes before this reply answer earlier requests.
-    recipe.questions.push_back(
-        {.bytes = std::string(kIdentityRequest), .reply = "0,(XPS|HXP).*", .standing = {}});
+    recipe.questions.push_back({.bytes = std::string(kIdentityRequest),
+                                .reply = ReplyPattern{pattern::literal("0,XPS"), pattern::text()} |
+                                         ReplyPattern{pattern::literal("0,HXP"), pattern::text()},
+                                .standing = {}});
     for (const StageAxis axis : kStageAxes) {
       if (!has(axis)) continue;
-      recipe.questions.push_back({.bytes = fmt::format("GroupMoveAbort({})", group(axis)),
-                                  .reply = "(0,|-[0-9]+,.*)",
-                                  .standing = {}});
+      recipe.questions.push_back(
+          {.bytes = fmt::format("GroupMoveAbort({})", group(axis)),
+           .reply = ReplyPattern{pattern::literal("0,")} |
+                    ReplyPattern{pattern::literal("-"), pattern::run(pattern::kDecimalDigits),
+                                 pattern::literal(","), pattern::text()},
+           .standing = {}});
       recipe.questions.push_back({.bytes = fmt::format("GroupStatusGet({},int *)", group(axis)),
-                                  .reply = "0,[0-9]+",
-                                  .standing = "0,([0-9]|[123][0-9]|42|50|63)"});
+                                  .reply = {pattern::literal("0,"), pattern::run(pattern::kDecimalDigits)},
+                                  .standing = ReplyPattern{pattern::literal("0,"), pattern::number(0, 39)} |
+                                              ReplyPattern{pattern::literal("0,42")} |
+                                              ReplyPattern{pattern::literal("0,50")} |
+                                              ReplyPattern{pattern::literal("0,63")}});
     }
     return {recipe};
   }

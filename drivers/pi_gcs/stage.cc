@@ -602,11 +602,13 @@ class PiGcsController final : public wire::LineController {
       const std::string chained = m->address.empty() ? "" : "0 " + m->address + " ";
       const std::string identified = members_.size() == 1 ? "" : chained;
       recipe.questions.push_back({.bytes = command_line(kIdentityQuery, m->address),
-                                  .reply = identified + ".*Physik Instrumente.*",
+                                  .reply = {pattern::literal(identified), pattern::text(),
+                                            pattern::literal("Physik Instrumente"), pattern::text()},
                                   .standing = {}});
-      recipe.questions.push_back({.bytes = single_byte(kAskMotion, m->address),
-                                  .reply = chained + "[0-9A-Fa-f]+",
-                                  .standing = chained + "0+"});
+      recipe.questions.push_back(
+          {.bytes = single_byte(kAskMotion, m->address),
+           .reply = {pattern::literal(chained), pattern::run(pattern::kHexadecimalDigits)},
+           .standing = {pattern::literal(chained), pattern::run("0")}});
       recipes.push_back(std::move(recipe));
     }
     return recipes;

@@ -21,6 +21,8 @@
 namespace abcal::thorlabs_apt {
 namespace {
 
+using namespace std::string_literals;
+
 constexpr Clock::Duration kHaltWaitsForExchange = kReplyDeadline + std::chrono::milliseconds(500);
 constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(50);
 constexpr Clock::Duration kDiscovery = std::chrono::milliseconds(300);
@@ -479,12 +481,15 @@ class ThorlabsAptController final : public wire::LineController {
       std::string sources;
       for (const Place& where : places) {
         question.bytes += in_any_step(short_message(kRequestStatusBits, where.channel, 0, where.destination));
-        sources += fmt::format("{}{:02x}", sources.empty() ? "" : "|", where.destination);
+        sources += static_cast<char>(where.destination);
       }
-      const std::string head = "2a04060081(" + sources + ")0100";
-      question.reply = head + "........";
+      // A message of status bits to the host, from one of the sources; the number of its channel is 1.
+      const ReplyPart head = pattern::literal("\x2a\x04\x06\x00\x81"s),
+                      channel = pattern::literal("\x01\x00"s);
+      const ReplyPart source = pattern::run(sources, 1, 1);
+      question.reply = {head, source, channel, pattern::any_bytes(4)};
       // Bits 4 to 7 and 9: turning, jogging, homing.
-      question.standing = head + "0.[0-9a-f][014589cd]....";
+      question.standing = {head, source, channel, pattern::zero_bits("\xf0\x02\x00\x00"s)};
       recipe.questions.push_back(std::move(question));
     }
     return {recipe};

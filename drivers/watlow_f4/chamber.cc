@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
-#include "drivers/wire/readable_bytes.h"
 
 namespace abcal::watlow_f4 {
 namespace {
@@ -277,7 +276,7 @@ HaltRecipe::Question WatlowChamber::write_step(std::string_view pdu) const {
   const auto framed = [&](std::string_view bytes) {
     return frame(framing_, settings_.address, kRestTransaction, bytes);
   };
-  return {framed(pdu), wire::hexadecimal_digits(framed(pdu.substr(0, 5))), {}};
+  return {framed(pdu), {pattern::literal(framed(pdu.substr(0, 5)))}, {}};
 }
 
 /// Half an RTU frame gets old; its silence is waited for by trying again.
@@ -297,23 +296,28 @@ std::optional<HaltRecipe> WatlowChamber::rest_recipe(ChamberPolicy policy) {
   }
   if (policy != ChamberPolicy::kHold) {
     recipe.chamber = fmt::format("is driven to {:g} degC", kAmbientDegc);
-    std::string value;
+    std::vector<std::uint16_t> words;
     if (is_f4t_) {
-      const std::vector<std::uint16_t> words = registers_of(static_cast<float>(kAmbientDegc));
+      words = registers_of(static_cast<float>(kAmbientDegc));
       recipe.questions.push_back(write_step(write_register(kRampAction, kRampOff)));
       recipe.questions.push_back(write_step(write_registers(kSet, words)));
-      for (const std::uint16_t word : words) value += fmt::format("{:04x}", word);
     } else {
       const auto raw = raw_of(kAmbientDegc, decimals_);
       if (!raw) return std::nullopt;
       recipe.questions.push_back(write_step(write_register(kF4Set, *raw)));
-      value = fmt::format("{:04x}", *raw);
+      words = {*raw};
     }
-    const auto count = static_cast<std::uint16_t>(value.size() / 4);
-    const std::string pdu = read_registers(is_f4t_ ? kSet : kF4Set, count);
-    const std::string head = fmt::format("{:02x}03{:02x}", settings_.address, value.size() / 2);
+    std::string value;
+    for (const std::uint16_t word : words) {
+      value += static_cast<char>(word / 256U);
+      value += static_cast<char>(word % 256U);
+    }
+    const std::string pdu = read_registers(is_f4t_ ? kSet : kF4Set, static_cast<std::uint16_t>(words.size()));
+    const ReplyPart head = pattern::literal(
+        std::string{static_cast<char>(settings_.address), '\x03', static_cast<char>(value.size())});
     recipe.questions.push_back({frame(framing_, settings_.address, kRestTransaction, pdu),
-                                head + std::string(value.size(), '.'), head + value});
+                                {head, pattern::any_bytes(value.size())},
+                                {head, pattern::literal(value)}});
   }
   return recipe.questions.empty() ? std::nullopt : std::optional(std::move(recipe));
 }

@@ -167,10 +167,14 @@ std::optional<HaltRecipe> Ascii2::rest_recipe(ChamberPolicy policy) {
   if (pause > 0 && pause < channels.size()) channels[pause] = '0';
   if (start_channel() < channels.size()) channels[start_channel()] = '1';
   HaltRecipe recipe = rest_recipe_of_lines(exchange_.manner().patience, policy);
-  recipe.questions = {{slope_command(settings_.address, 0.0, 0.0), "0", {}},
-                      {set_command(settings_.address, layout_, now, kAmbientDegc, channels), "0", {}},
-                      {plain_command(settings_.address, 'I'), "[-+0-9.]+ .* [01]+Z?",
-                       fmt::format("0*{:g}\\.0* .*", kAmbientDegc)}};
+  const ReplyPart zeros = pattern::run("0", 0), space = pattern::literal(" ");
+  recipe.questions = {
+      {slope_command(settings_.address, 0.0, 0.0), {pattern::literal("0")}, {}},
+      {set_command(settings_.address, layout_, now, kAmbientDegc, channels), {pattern::literal("0")}, {}},
+      {plain_command(settings_.address, 'I'),
+       {pattern::run("-+.0123456789"), space, pattern::text(), space, pattern::run("01"),
+        pattern::run("Z", 0, 1)},
+       {zeros, pattern::literal(fmt::format("{:g}.", kAmbientDegc)), zeros, space, pattern::text()}}};
   return recipe;
 }
 

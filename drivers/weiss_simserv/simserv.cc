@@ -148,20 +148,25 @@ ChamberReading Simserv::read() {
 
 std::optional<HaltRecipe> Simserv::rest_recipe(ChamberPolicy policy) {
   HaltRecipe recipe = rest_recipe_of_lines(exchange_.manner().patience, policy);
+  const ReplyPart done = pattern::literal("1"), separator = pattern::any_bytes(1);
   const auto step = [&](int command, const std::vector<std::string>& arguments) {
-    recipe.questions.push_back({simserv_request(command, arguments), "1", {}});
+    recipe.questions.push_back({simserv_request(command, arguments), {done}, {}});
   };
   if (settings_.pause_output > 0) step(kSwitch, {std::to_string(settings_.pause_output + 1), "0"});
   if (policy != ChamberPolicy::kHold) {
     step(kSetGradientUp, {"1", "0"});
     step(kSetGradientDown, {"1", "0"});
     step(kSet, {"1", fmt::format("{:.1f}", kAmbientDegc)});
-    // The separator is one byte of any value.
+    const ReplyPart zeros = pattern::run("0", 0);
+    const std::string degc = fmt::format("{:g}", kAmbientDegc);
     recipe.questions.push_back(
-        {simserv_request(kNominal, {"1"}), "1.[-+0-9.]+", fmt::format("1.0*{:g}(\\.0*)?", kAmbientDegc)});
+        {simserv_request(kNominal, {"1"}),
+         {done, separator, pattern::run("-+.0123456789")},
+         ReplyPattern{done, separator, zeros, pattern::literal(degc)} |
+             ReplyPattern{done, separator, zeros, pattern::literal(degc + "."), zeros}});
   } else if (settings_.pause_output > 0) {
     // An answer that no older one can be taken for.
-    recipe.questions.push_back({simserv_request(kIdentity, {"1"}), "1.+", {}});
+    recipe.questions.push_back({simserv_request(kIdentity, {"1"}), {done, separator, pattern::text()}, {}});
   }
   return recipe.questions.empty() ? std::nullopt : std::optional(std::move(recipe));
 }

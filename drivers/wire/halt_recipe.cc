@@ -7,75 +7,80 @@
 #include <array>
 #include <cerrno>
 #include <optional>
-#include <regex>
 #include <system_error>
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
-#include "drivers/wire/readable_bytes.h"
+#include "drivers/wire/reply_match.h"
 
 namespace abcal::wire {
 namespace {
 
 constexpr std::chrono::milliseconds kBetweenStops{20};
-constexpr std::size_t kLongestHaltLine = 65536;
-constexpr std::size_t kLongestBinary = 1024;
+/// A port whose input never pauses is read for so long at most when its input is discarded.
+constexpr std::chrono::milliseconds kLongestDiscard{100};
 
 /// Splits the received bytes into replies: lines, pieces with the recipe's own terminator, or, for a binary
-/// protocol, the hexadecimal digits of everything received.
+/// protocol, the newest bytes. Keeps no more than the longest reply and its terminator, whatever arrives.
 class ReplyInput {
  public:
   ReplyInput(const HaltRecipe& recipe, ByteStream& port, Clock& clock)
       : recipe_(recipe), port_(port), clock_(clock) {}
 
+  /// The next reply that is neither empty nor too long; nothing at the deadline. The port is read only once
+  /// after the deadline, so that a stream that never pauses ends, too.
   std::optional<std::string> next(Clock::Instant deadline) {
     for (;;) {
-      if (auto reply = take()) {
-        if (!reply->empty()) return reply;
-        continue;
-      }
-      if (received_.size() > (recipe_.binary ? kLongestBinary : kLongestHaltLine))
-        received_.clear();                              // Nothing that a controller says.
-      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses.
-      const ReceivedBytes more = port_.read_until(deadline);
-      received_ += more.bytes;
-      fresh_ = !more.bytes.empty();
-      if (!fresh_ || (last_look && end().first == std::string::npos && !recipe_.binary)) return std::nullopt;
+      if (auto reply = recipe_.binary ? take_newest() : take_line()) return reply;
+      if (last_look_ && *last_look_ >= deadline) return std::nullopt;
+      last_look_ = clock_.now();
+      chunk_ = port_.read_until(deadline).bytes;
+      taken_ = 0;
+      if (chunk_.empty()) return std::nullopt;
     }
   }
 
  private:
-  /// Where the first reply ends, and how many bytes its end has.
-  std::pair<std::size_t, std::size_t> end() const {
-    if (recipe_.reply_end.empty()) return {received_.find_first_of("\r\n"), 1};
-    return {received_.find(recipe_.reply_end), recipe_.reply_end.size()};
+  std::optional<std::string> take_newest() {
+    if (chunk_.empty()) return std::nullopt;
+    reply_ += std::exchange(chunk_, {});
+    if (reply_.size() > kLongestHaltReply) reply_.erase(0, reply_.size() - kLongestHaltReply);
+    return reply_;
   }
 
-  std::optional<std::string> take() {
-    if (recipe_.binary) {
-      if (!std::exchange(fresh_, false)) return std::nullopt;
-      return hexadecimal_digits(received_);
+  std::optional<std::string> take_line() {
+    const std::size_t end_size = recipe_.reply_end.empty() ? 1 : recipe_.reply_end.size();
+    while (taken_ < chunk_.size()) {
+      reply_ += chunk_[taken_++];
+      if (has_ended()) {
+        std::string reply = std::exchange(reply_, {});
+        reply.resize(reply.size() - end_size);
+        if (!std::exchange(too_long_, false) && !reply.empty()) return reply;
+      } else if (reply_.size() == kLongestHaltReply + end_size) {
+        too_long_ = true;
+        reply_.erase(0, kLongestHaltReply);  // The terminator may have begun.
+      }
     }
-    const auto [at, length] = end();
-    if (at == std::string::npos) return std::nullopt;
-    std::string reply = received_.substr(0, at);
-    received_.erase(0, at + length);
-    return reply;
+    return std::nullopt;
+  }
+
+  bool has_ended() const {
+    if (recipe_.reply_end.empty()) return reply_.back() == '\r' || reply_.back() == '\n';
+    return reply_.ends_with(recipe_.reply_end);
   }
 
   const HaltRecipe& recipe_;
-  bool fresh_ = false;
   ByteStream& port_;
   Clock& clock_;
-  std::string received_;
+  std::optional<Clock::Instant> last_look_;
+  std::string chunk_;      ///< The bytes that were read last.
+  std::size_t taken_ = 0;  ///< Bytes of the chunk that are in `reply_` or in an earlier reply.
+  std::string reply_;      ///< The beginning of the next reply.
+  bool too_long_ = false;  ///< The next reply has lost its beginning.
 };
 
-bool fits(const HaltRecipe& recipe, const std::string& reply, const std::string& pattern) {
-  const std::regex wanted(pattern);
-  if (!recipe.binary) return std::regex_match(reply, wanted);
-  for (auto at = reply.begin(); at < reply.end(); at += 2)  // At any byte.
-    if (std::regex_search(at, reply.end(), wanted, std::regex_constants::match_continuous)) return true;
-  return false;
+bool fits(const HaltRecipe& recipe, const std::string& reply, const ReplyPattern& pattern) {
+  return recipe.binary ? occurs_in(pattern, reply) : matches(pattern, reply);
 }
 
 /// Whether all that answers the question says that the axes stand still.
@@ -161,7 +166,8 @@ ReceivedBytes DescriptorStream::read_until(Clock::Instant deadline) {
 }
 
 void DescriptorStream::discard_input() {
-  while (!read_until(clock_.now()).bytes.empty()) continue;
+  const Clock::Instant deadline = clock_.now() + kLongestDiscard;
+  while (clock_.now() < deadline && !read_until(clock_.now()).bytes.empty()) continue;
 }
 
 }  // namespace abcal::wire

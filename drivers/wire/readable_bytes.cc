@@ -11,17 +11,6 @@ std::string bytes_in_hex(std::string_view bytes) {
   return text;
 }
 
-std::string hexadecimal_digits(std::string_view bytes) {
-  constexpr std::string_view kDigits = "0123456789abcdef";
-  std::string digits;
-  for (const char c : bytes) {
-    const auto value = static_cast<unsigned char>(c);
-    digits += kDigits[value >> 4U];
-    digits += kDigits[value & 15U];
-  }
-  return digits;
-}
-
 std::string bytes_as_text(std::string_view bytes) {
   std::string text;
   for (const char byte : bytes) {

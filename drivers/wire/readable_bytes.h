@@ -8,10 +8,6 @@ namespace abcal::wire {
 /// Bytes as a message shows them: "55 51 AE FF".
 std::string bytes_in_hex(std::string_view bytes);
 
-/// Two lower-case digits for each byte and nothing else, as the patterns of a HaltRecipe of a binary protocol
-/// have them: "5551aeff".
-std::string hexadecimal_digits(std::string_view bytes);
-
 /// Text for messages: bytes that are not printable appear as "\x0A".
 std::string bytes_as_text(std::string_view bytes);
 

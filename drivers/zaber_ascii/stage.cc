@@ -582,13 +582,18 @@ class ZaberAsciiController final : public wire::LineController {
   static void add_questions(HaltRecipe& recipe, Place place) {
     // Two message ids: late replies to a driver have at most one of them.
     for (const int id : {41, 83}) {
-      const std::string who =
-          place.device == 0 ? "[0-9]{2} 0" : fmt::format("{:02} {}", place.device, place.axis);
-      const std::string reply = fmt::format("@{} {:02} OK ", who, id);
+      const ReplyPart at = pattern::literal("@");
+      const ReplyPart device = place.device == 0 ? pattern::run(pattern::kDecimalDigits, 2, 2)
+                                                 : pattern::literal(fmt::format("{:02}", place.device));
+      const auto says = [&](const char* status) {
+        return ReplyPattern{at, device,
+                            pattern::literal(fmt::format(" {} {:02} OK {} ", place.axis, id, status)),
+                            pattern::text()};
+      };
       const Clock::Duration listen = place.device == 0 ? kQuiet : Clock::Duration::zero();
       recipe.questions.push_back({.bytes = command(place.device, place.axis, id, ""),
-                                  .reply = reply + "(IDLE|BUSY) .*",
-                                  .standing = reply + "IDLE .*",
+                                  .reply = says("IDLE") | says("BUSY"),
+                                  .standing = says("IDLE"),
                                   .listen = std::chrono::duration_cast<std::chrono::milliseconds>(listen)});
     }
   }

@@ -13,6 +13,7 @@
 #include <tuple>
 
 #include "app/ground/system/real_clock.h"
+#include "app/operate/bench/guard_packets.h"
 #include "app/operate/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/split_stage.h"
@@ -184,6 +185,23 @@ TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
   EXPECT_EQ(status, 0) << "not acknowledged";
 }
 
+TEST_P(HaltRecipes, AreTheSameOnceSentToTheGuard) {
+  HaltRig<sim::SimClock> rig(GetParam());
+  const std::vector<HaltRecipe> before = rig.driver->halt_recipes();
+  rig.driver->identify();
+  const std::vector<HaltRecipe> after = rig.driver->halt_recipes();
+  for (const std::vector<HaltRecipe>& recipes : {before, after}) {
+    ASSERT_FALSE(recipes.empty());
+    std::size_t bytes = 0;
+    for (const HaltRecipe& recipe : recipes) {
+      const nlohmann::json json = to_json(recipe);
+      EXPECT_EQ(halt_recipe_from(json), recipe);
+      bytes += nlohmann::json::to_msgpack(json).size();
+    }
+    EXPECT_LT(bytes, kLongestGuardPacket / 4);
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stage_variants()),
                          [](const auto& name) { return name.param; });
 
@@ -278,6 +296,15 @@ TEST_P(ChamberRecipes, DriveToAmbientAfterAnyPartOfAnyCommand) {
   }
 }
 
+TEST_P(ChamberRecipes, AreTheSameOnceSentToTheGuard) {
+  ChamberRig rig(GetParam());
+  for (const ChamberPolicy policy : {ChamberPolicy::kAmbient, ChamberPolicy::kHold}) {
+    const auto recipe = rig.driver->rest_recipe(policy);
+    if (!recipe) continue;  // ASCII-2 needs no command to hold.
+    EXPECT_EQ(halt_recipe_from(to_json(*recipe)), *recipe);
+  }
+}
+
 TEST_P(ChamberRecipes, HoldEndsThePauseAndNothingElse) {
   ChamberRig rig(GetParam());
   const auto recipe = rig.driver->rest_recipe(ChamberPolicy::kHold);
@@ -317,6 +344,27 @@ TEST_P(ChamberRecipes, AskForWhatWasIdentifiedFirst) {
 
 INSTANTIATE_TEST_SUITE_P(EachChamber, ChamberRecipes, testing::ValuesIn(chambers()),
                          [](const auto& which) { return which.param.name; });
+
+TEST(HaltGuardPacket, EveryByteAndEveryKindOfPartArrives) {
+  std::string bytes;
+  for (int byte = 0; byte < 256; ++byte) bytes += static_cast<char>(byte);
+  const ReplyPattern all =
+      ReplyPattern{pattern::literal(bytes), pattern::zero_bits(bytes), pattern::run(bytes, 2)} |
+      ReplyPattern{pattern::number(7, pattern::kAnyCount), pattern::text()};
+  const HaltRecipe recipe{.driver = "test",
+                          .axes = {false, true},
+                          .end_partial = bytes,
+                          .stop = bytes,
+                          .questions = {{.bytes = bytes, .reply = all, .standing = {}, .listen = 70ms},
+                                        {.bytes = "?", .reply = {pattern::text()}, .standing = all}},
+                          .reply_time = 1234ms,
+                          .reply_end = bytes,
+                          .binary = true,
+                          .chamber = "holds"};
+  for (const HaltRecipe& each : {recipe, HaltRecipe()})
+    EXPECT_EQ(halt_recipe_from(nlohmann::json::from_msgpack(nlohmann::json::to_msgpack(to_json(each)))),
+              each);
+}
 
 /// Two controllers in a daisy chain, one of which is cut off while both axes turn.
 class ChainHalts : public testing::TestWithParam<std::tuple<std::string, StageAxis>> {

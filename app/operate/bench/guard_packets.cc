@@ -21,6 +21,29 @@ struct Ancillary {
   alignas(cmsghdr) std::array<char, CMSG_SPACE(kMostDescriptors * sizeof(int))> bytes{};
 };
 
+Json to_json(const ReplyPattern& pattern) {
+  Json alternatives = Json::array();
+  for (const std::vector<ReplyPart>& alternative : pattern.alternatives) {
+    Json parts = Json::array();
+    for (const ReplyPart& part : alternative)
+      parts.push_back(Json::array({part.kind, part.bytes, part.mask, part.least, part.most}));
+    alternatives.push_back(std::move(parts));
+  }
+  return alternatives;
+}
+
+ReplyPattern reply_pattern_from(const Json& json) {
+  ReplyPattern pattern;
+  for (const Json& alternative : json) {
+    std::vector<ReplyPart>& parts = pattern.alternatives.emplace_back();
+    for (const Json& part : alternative)
+      parts.push_back({part.at(0).get<ReplyPart::Kind>(), part.at(1).get<std::string>(),
+                       part.at(2).get<std::string>(), part.at(3).get<std::uint32_t>(),
+                       part.at(4).get<std::uint32_t>()});
+  }
+  return pattern;
+}
+
 }  // namespace
 
 bool send_guard_packet(int socket, const Json& json, const std::vector<int>& descriptors) {
@@ -106,8 +129,8 @@ Json to_json(const HaltRecipe& recipe) {
   Json questions = Json::array();
   for (const HaltRecipe::Question& question : recipe.questions)
     questions.push_back({{"bytes", question.bytes},
-                         {"reply", question.reply},
-                         {"standing", question.standing},
+                         {"reply", to_json(question.reply)},
+                         {"standing", to_json(question.standing)},
                          {"listen_ms", question.listen.count()}});
   return {{"driver", recipe.driver},
           {"x", recipe.axes[0]},
@@ -132,8 +155,8 @@ HaltRecipe halt_recipe_from(const Json& json) {
   recipe.binary = json.at("binary").get<bool>();
   recipe.chamber = json.at("chamber").get<std::string>();
   for (const Json& each : json.at("questions"))
-    recipe.questions.push_back({each.at("bytes").get<std::string>(), each.at("reply").get<std::string>(),
-                                each.at("standing").get<std::string>(),
+    recipe.questions.push_back({each.at("bytes").get<std::string>(), reply_pattern_from(each.at("reply")),
+                                reply_pattern_from(each.at("standing")),
                                 std::chrono::milliseconds(each.at("listen_ms").get<std::int64_t>())});
   return recipe;
 }

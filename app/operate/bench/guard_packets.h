@@ -36,7 +36,7 @@ inline constexpr const char* kHalting = "halting";  ///< The guard has begun to 
 inline constexpr const char* kHalted = "halted";    ///< The result of the first attempt on a port.
 }  // namespace to_owner
 
-/// Longest packet, in bytes; recipes are a few hundred bytes each.
+/// Longest packet, in bytes; recipes are one or two kilobytes each.
 inline constexpr std::size_t kLongestGuardPacket = 64 * 1024;
 
 struct GuardPacket {

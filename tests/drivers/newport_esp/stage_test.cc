@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "drivers/instrument/instrument_error.h"
+#include "tests/drivers/reply_verdicts.h"
 #include "tests/support/error_of.h"
 #include "tests/support/scripted_line.h"
 
@@ -410,6 +411,51 @@ TEST_F(NewportEspStageTest, HaltDoesNotWaitForAQueryUnderWay) {
   line_.await_hold();
   EXPECT_TRUE(stage_->halt());
   EXPECT_EQ(owner.get(), 14.5);  // Its own reply.
+}
+
+TEST_F(NewportEspStageTest, ItsRecipeTellsStandingAxesFromMovingOnesAndFromOtherReplies) {
+  using enum test::Verdict;
+  connect();
+  const HaltRecipe recipe = stage_->halt_recipes().at(0);
+  ASSERT_EQ(recipe.questions.size(), 3U);
+  test::expect_verdicts(recipe, recipe.questions[0],
+                        {{"ESP301 Version 3.0.1 6/1/99", kStanding},
+                         {"ESP300 Version 3.04 12/10/01", kStanding},
+                         {"ESP302", kStanding},
+                         {"ESP30", kStanding},
+                         {"", kOther},
+                         {" ESP301 Version 3.0.1", kOther},
+                         {"ESP3", kOther},
+                         {"ESP310", kOther},
+                         {"esp301 version 3.0.1", kOther},
+                         {"URS100BCC, SN12345", kOther},
+                         {"0, 450322, NO ERROR DETECTED", kOther},
+                         {"1", kOther}});
+  for (const std::size_t axis : {1U, 2U})
+    test::expect_verdicts(recipe, recipe.questions[axis],
+                          {{"1", kStanding},
+                           {" 1", kStanding},
+                           {"1 ", kStanding},
+                           {"   1  ", kStanding},
+                           {"0", kMoving},
+                           {" 0 ", kMoving},
+                           {"", kOther},
+                           {" ", kOther},
+                           {"2", kOther},
+                           {"01", kOther},
+                           {"10", kOther},
+                           {"11", kOther},
+                           {"1 1", kOther},
+                           {"1.0", kOther},
+                           {"+1", kOther},
+                           {"-1", kOther},
+                           {"\t1", kOther},
+                           {"1\t", kOther},
+                           {"12.34500", kOther},
+                           {"E35", kOther},
+                           {"0, 450322, NO ERROR DETECTED", kOther},
+                           {"6, 450333, UNKNOWN COMMAND", kOther},
+                           {"ESP301 Version 3.0.1 6/1/99", kOther}});
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/newport_xps_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/reply_verdicts.h"
 #include "tests/support/error_of.h"
 
 namespace abcal::newport_xps {
@@ -165,6 +166,73 @@ TEST_F(NewportXpsStageTest, AMotionBlocksItsConnectionOnly) {
   clock_.sleep_until(clock_.now() + 100ms);
   EXPECT_EQ(session->transmit(clock_.now()), "0,,EndOfAPI");
   EXPECT_EQ(other_client("GroupStatusGet(Group1,int *)"), "0,12,EndOfAPI");
+}
+
+TEST_F(NewportXpsStageTest, ItsRecipeTellsStandingGroupsFromMovingOnesAndFromOtherReplies) {
+  using enum test::Verdict;
+  const HaltRecipe recipe = connect()->halt_recipes().at(0);
+  EXPECT_EQ(recipe.reply_end, ",EndOfAPI");
+  ASSERT_EQ(recipe.questions.size(), 5U);
+  test::expect_verdicts(recipe, recipe.questions[0],
+                        {{"0,XPS-C8 Firmware V2.6.0", kStanding},
+                         {"0,XPS", kStanding},
+                         {"0,HXP Firmware V1.4.0", kStanding},
+                         {"", kOther},
+                         {"0,", kOther},
+                         {"0,12", kOther},
+                         {"0,XP", kOther},
+                         {"0,xps-c8", kOther},
+                         {"0, XPS-C8", kOther},
+                         {"XPS-C8 Firmware V2.6.0", kOther},
+                         {"0,XPS-C8\r\nFirmware V2.6.0", kOther},
+                         {"0,XPS-C8\n", kOther},
+                         {"1,XPS-C8", kOther},
+                         {"-4,FirmwareVersionGet(char *)", kOther}});
+  for (const std::size_t axis : {0U, 1U}) {
+    test::expect_verdicts(recipe, recipe.questions[1 + 2 * axis],
+                          {{"0,", kStanding},
+                           {"-22,GroupMoveAbort(Group1)", kStanding},
+                           {"-4,", kStanding},
+                           {"-100007,x", kStanding},
+                           {"", kOther},
+                           {"0", kOther},
+                           {"0,12", kOther},
+                           {"00,", kOther},
+                           {"-22", kOther},
+                           {"-,x", kOther},
+                           {"22,GroupMoveAbort(Group1)", kOther},
+                           {"+22,x", kOther},
+                           {"-2a,x", kOther},
+                           {"--2,x", kOther},
+                           {"-22,x\r\n", kOther}});
+    const HaltRecipe::Question& status = recipe.questions[2 + 2 * axis];
+    test::expect_verdicts(recipe, status,
+                          {{"", kOther},
+                           {"0", kOther},
+                           {"0,", kOther},
+                           {"0,1,2", kOther},
+                           {"0,-1", kOther},
+                           {"0,+1", kOther},
+                           {"0, 12", kOther},
+                           {"0,12 ", kOther},
+                           {"0,12\n", kOther},
+                           {"0,12.0", kOther},
+                           {"1,12", kOther},
+                           {"12", kOther},
+                           {"-22,GroupStatusGet(Group1,int *)", kOther},
+                           {"0,XPS-C8 Firmware V2.6.0", kOther},
+                           // Not written as the controller writes numbers: an answer, but no standstill.
+                           {"0,00", kMoving},
+                           {"0,07", kMoving},
+                           {"0,012", kMoving},
+                           {"0,042", kMoving},
+                           {"0,4294967308", kMoving},
+                           {"0,18446744073709551628", kMoving}});
+    for (int state = 0; state < 1200; ++state) {
+      const bool stands = state < 40 || state == 42 || state == 50 || state == 63;
+      test::expect_verdicts(recipe, status, {{"0," + std::to_string(state), stands ? kStanding : kMoving}});
+    }
+  }
 }
 
 }  // namespace

@@ -14,6 +14,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/drivers/pi_gcs/scripted_controller.h"
+#include "tests/drivers/reply_verdicts.h"
 #include "tests/support/error_of.h"
 
 namespace abcal::pi_gcs {
@@ -702,6 +703,82 @@ TEST_F(PiGcsStageTest, AMoveThatIsHaltedWhileItIsSentIsNotReportedAsAccepted) {
   EXPECT_EQ(error.fault(), Fault::kRefused);
   EXPECT_THAT(error.what(), HasSubstr("error 10 (stopped by command)"));
   EXPECT_GE(controller_.count("\x18"), 2U) << "the stop is repeated after the move";
+}
+
+TEST_F(PiGcsStageTest, ItsRecipeTellsStandingAxesFromMovingOnesAndFromOtherReplies) {
+  using enum test::Verdict;
+  connect();
+  const HaltRecipe recipe = stage_->halt_recipes().at(0);
+  ASSERT_EQ(recipe.questions.size(), 2U);
+  test::expect_verdicts(
+      recipe, recipe.questions[0],
+      {{"(c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-884.4DC, 123456, 1.2.3", kStanding},
+       {"(c)2013 Physik Instrumente(PI) Karlsruhe, E-861 Version 7.2.0", kStanding},
+       {"Physik Instrumente", kStanding},
+       {"0 2 (c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-863.12, 777, 1.2.3 ", kStanding},
+       {"", kOther},
+       {"0", kOther},
+       {"1=89.9998", kOther},
+       {"(c)2013 physik instrumente", kOther},
+       {"(c)2013 Physik  Instrumente", kOther},
+       {"(c)2013 Physik Instrument", kOther},
+       {"Keysight Technologies,34465A,MY54500001,A.02.14", kOther}});
+  test::expect_verdicts(
+      recipe, recipe.questions[1],
+      {{"0", kStanding},
+       {"00", kStanding},
+       {"00000000", kStanding},
+       {"1", kMoving},
+       {"2", kMoving},
+       {"3", kMoving},
+       {"a", kMoving},
+       {"F", kMoving},
+       {"10", kMoving},
+       {"01", kMoving},
+       {"00000100", kMoving},
+       {"", kOther},
+       {" 0", kOther},
+       {"0 ", kOther},
+       {"0x0", kOther},
+       {"g", kOther},
+       {"-0", kOther},
+       {"0.0", kOther},
+       {"0 1 0", kOther},
+       {"1=0", kOther},
+       {"1=89.9998", kOther},
+       {"(c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-884.4DC, 123456, 1.2.3", kOther}});
+}
+
+TEST_F(PiGcsStageTest, ARecipeOfAChainTakesRepliesOfItsControllerOnly) {
+  using enum test::Verdict;
+  connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
+  const std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+  ASSERT_EQ(recipes.size(), 2U);
+  const std::string identity = "(c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-863.12, 777, 1.2.3";
+  for (const std::size_t member : {0U, 1U}) {
+    const std::string own = member == 0 ? "0 1 " : "0 4 ", other = member == 0 ? "0 4 " : "0 1 ";
+    test::expect_verdicts(recipes[member], recipes[member].questions[0],
+                          {{own + identity, kStanding},
+                           {own + "Physik Instrumente", kStanding},
+                           {other + identity, kOther},
+                           {identity, kOther},
+                           {own, kOther},
+                           {own + "0", kOther},
+                           {"0" + own + identity, kOther}});
+    test::expect_verdicts(recipes[member], recipes[member].questions[1],
+                          {{own + "0", kStanding},
+                           {own + "0000", kStanding},
+                           {own + "1", kMoving},
+                           {own + "a0", kMoving},
+                           {other + "0", kOther},
+                           {"0", kOther},
+                           {"1", kOther},
+                           {own, kOther},
+                           {own + " 0", kOther},
+                           {own + "0 ", kOther},
+                           {own + "1=0", kOther},
+                           {own + identity, kOther}});
+  }
 }
 
 }  // namespace

@@ -10,12 +10,14 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/reply_verdicts.h"
 #include "tests/support/error_of.h"
 
 namespace abcal::thorlabs_apt {
 namespace {
 
 using namespace std::chrono_literals;
+using namespace std::string_literals;
 using test::error_of;
 using ::testing::HasSubstr;
 
@@ -153,6 +155,69 @@ TEST_F(ThorlabsAptStageTest, MessagesForOthersArePassedOver) {
   firmware_->receive(short_message(kRequestServoStatus, 1, 0, 0x25), clock_.now());
   clock_.sleep_until(clock_.now() + 200ms);
   EXPECT_EQ(firmware_->transmit(clock_.now()), "");
+}
+
+/// The message of the status bits, as a bay or a unit sends it.
+std::string status_bits(char source, const std::string& bits) {
+  return "\x2a\x04\x06\x00\x81"s + source + "\x01\x00"s + bits;
+}
+
+TEST_F(ThorlabsAptStageTest, ItsRecipeTellsStandingAxesFromMovingOnesAndFromOtherMessages) {
+  using enum test::Verdict;
+  const auto stage = connect();
+  const HaltRecipe recipe = stage->halt_recipes().at(0);
+  ASSERT_TRUE(recipe.binary);
+  ASSERT_EQ(recipe.questions.size(), 2U);
+  const std::string stands = status_bits('\x21', "\x00\x04\x00\x80"s),
+                    moves = status_bits('\x21', "\x10\x04\x00\x80"s);
+  test::expect_verdicts(
+      recipe, recipe.questions[0],
+      {{stands, kStanding},
+       {moves, kMoving},
+       {status_bits('\x50', "\x00\x04\x00\x80"s), kStanding},  // A unit without bays.
+       {status_bits('\x50', "\x20\x04\x00\x80"s), kMoving},
+       {status_bits('\x22', "\x00\x04\x00\x80"s), kOther},
+       {"", kOther},
+       {std::string(12, '\0'), kOther},
+       {"\x2a\x04\x06\x00\x81\x21\x02\x00\x00\x04\x00\x80"s, kOther},  // Channel 2.
+       {"\x81\x04\x06\x00\x81\x21\x01\x00\x00\x04\x00\x80"s, kOther},  // Another message.
+       {"\x2a\x04\x06\x00\x82\x21\x01\x00\x00\x04\x00\x80"s, kOther},  // To somebody else.
+       {"\x64\x04\x0e\x00\x81\x21\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\x04\x00\x80"s, kOther},
+       {"\x81\x00\x44\x00\x81\x21"s + std::string(68, 'x'), kOther},  // An error.
+       // At any byte, after and before other messages; its last three bytes may be the beginning of the next.
+       {"\x64\x04\x2a"s + stands, kStanding},
+       {stands + "\x2a\x04\x06"s, kStanding},
+       {stands.substr(0, 5) + stands, kStanding},
+       {stands.substr(0, 11), kOther},
+       {stands.substr(1), kOther}});
+  test::expect_verdicts(recipe, recipe.questions[1],
+                        {{status_bits('\x22', "\x00\x04\x00\x80"s), kStanding},
+                         {status_bits('\x22', "\x80\x04\x00\x80"s), kMoving},
+                         {stands, kOther},
+                         {status_bits('\x50', "\x00\x04\x00\x80"s), kOther}});
+  // Each value of the bytes in which bits 4 to 7 and 9 are.
+  const std::string hexadecimal = "0123456789abcdef", bit_9_clear = "014589cd";
+  for (unsigned first = 0; first < 256; ++first) {
+    for (unsigned second = 0; second < 256; ++second) {
+      const std::string bits{static_cast<char>(first), static_cast<char>(second), '\x0d', '\x0a'};
+      const bool still =
+          hexadecimal[first / 16] == '0' && bit_9_clear.find(hexadecimal[second % 16]) != std::string::npos;
+      ASSERT_EQ(test::verdict_on(recipe, recipe.questions[0], status_bits('\x21', bits)),
+                still ? kStanding : kMoving)
+          << first << ' ' << second;
+    }
+  }
+}
+
+TEST_F(ThorlabsAptStageTest, OnceIdentifiedItsRecipeAsksOnePlace) {
+  using enum test::Verdict;
+  const auto stage = connect();
+  stage->identify();
+  const HaltRecipe recipe = stage->halt_recipes().at(0);
+  test::expect_verdicts(recipe, recipe.questions.at(0),
+                        {{status_bits('\x21', "\x00\x04\x00\x80"s), kStanding},
+                         {status_bits('\x21', "\x40\x04\x00\x80"s), kMoving},
+                         {status_bits('\x50', "\x00\x04\x00\x80"s), kOther}});
 }
 
 }  // namespace

@@ -8,10 +8,12 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/watlow_f4_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/reply_verdicts.h"
 
 namespace abcal::watlow_f4 {
 namespace {
 
+using namespace std::string_literals;
 using testing::HasSubstr;
 
 struct Rig {
@@ -167,6 +169,78 @@ TEST(WatlowChamberTest, TheRampIsTheControllers) {
   EXPECT_NEAR(rig.chamber->read().set_degc, 53.0, 0.5);
   rig.wait(3600.0);
   EXPECT_NEAR(rig.chamber->read().air_degc, 83.0, 0.1);
+}
+
+TEST(WatlowChamberTest, TheRecipeOfAnF4TellsAnswersApart) {
+  using enum test::Verdict;
+  Rig rig(sim::WatlowF4Settings{.f4t = false});
+  rig.chamber->identify();
+  const HaltRecipe recipe = rig.chamber->rest_recipe(ChamberPolicy::kAmbient).value();
+  ASSERT_TRUE(recipe.binary);
+  ASSERT_EQ(recipe.questions.size(), 3U);
+  const std::string pause_off = "\x01\x06\x07\xda\x00\x00\xa9\x45"s,
+                    set = "\x01\x06\x01\x2c\x00\xe6\xc8\x75"s;
+  test::expect_verdicts(recipe, recipe.questions[0],
+                        {{pause_off, kStanding},
+                         {"\x00\x01"s + pause_off + "\x01"s, kStanding},  // At any byte.
+                         {"\x01\x06\x07\xda\x00\x01\x68\x85"s, kOther},
+                         {"\x01\x06\x07\xd0\x00\x00\x89\x47"s, kOther},
+                         {"\x01\x86\x03\x02\x61"s, kOther},
+                         {set, kOther},
+                         {pause_off.substr(0, 7), kOther},
+                         {pause_off.substr(1), kOther},
+                         {"", kOther}});
+  test::expect_verdicts(recipe, recipe.questions[1],
+                        {{set, kStanding},
+                         {"\x01\x06\x01\x2c\xfe\x70\x08\x7b"s, kOther},  // -40 degC
+                         {"\x02\x06\x01\x2c\x00\xe6\xc8\x46"s, kOther},  // Another unit.
+                         {"\x01\x06\x01\x2c\x00\xe6\xc8\x74"s, kOther},
+                         {pause_off, kOther},
+                         {"\x01\x86\x03\x02\x61"s, kOther}});
+  test::expect_verdicts(recipe, recipe.questions[2],
+                        {{"\x01\x03\x02\x00\xe6\x39\xce"s, kStanding},
+                         {"\x01\x03\x02\xfe\x70\xf9\xc0"s, kMoving},
+                         {"\x01\x03\x02\x0d\x0a\x3c\xd3"s, kMoving},
+                         {"\x01\x03\x02\x00"s, kOther},
+                         {"\x01\x83\x02\xc0\xf1"s, kOther},
+                         {"\x01\x03\x04\x00\x00\x41\xb8"s, kOther},
+                         {"\x02\x03\x02\x00\xe6"s, kOther},
+                         {set, kOther},
+                         {"", kOther}});
+}
+
+TEST(WatlowChamberTest, TheRecipeOfAnF4TTellsAnswersApart) {
+  using enum test::Verdict;
+  Rig rig(sim::WatlowF4Settings{.f4t = true, .tcp = true});
+  rig.chamber->identify();
+  const HaltRecipe recipe = rig.chamber->rest_recipe(ChamberPolicy::kOff).value();
+  ASSERT_TRUE(recipe.binary);
+  ASSERT_EQ(recipe.questions.size(), 4U);
+  const std::string head = "\xff\xff\x00\x00\x00\x06\x01"s;
+  const std::string event_off = head + "\x06\x40\xd4\x00\x3e"s, ramp_off = head + "\x06\x0a\xea\x00\x3e"s,
+                    set = head + "\x10\x0a\xde\x00\x02"s;
+  const std::string older = "\x00\x07"s + set.substr(2);
+  const std::string exception = "\xff\xff\x00\x00\x00\x03\x01\x90\x03"s;
+  test::expect_verdicts(recipe, recipe.questions[0],
+                        {{event_off, kStanding}, {ramp_off, kOther}, {set, kOther}, {exception, kOther}});
+  test::expect_verdicts(recipe, recipe.questions[1],
+                        {{ramp_off, kStanding}, {event_off, kOther}, {set, kOther}, {exception, kOther}});
+  test::expect_verdicts(recipe, recipe.questions[2],
+                        {{set, kStanding},
+                         {"x" + set + "x", kStanding},
+                         {older, kOther},
+                         {ramp_off, kOther},
+                         {exception, kOther},
+                         {set.substr(0, set.size() - 1), kOther}});
+  const std::string value = "\xff\xff\x00\x00\x00\x07\x01\x03\x04"s;
+  test::expect_verdicts(recipe, recipe.questions[3],
+                        {{value + "\x00\x00\x41\xb8"s, kStanding},  // 23
+                         {value + "\x33\x33\x41\xbb"s, kMoving},    // 23.4
+                         {value + "\x00\x00\xc2\x20"s, kMoving},    // -40
+                         {value + "\x00\x00\x41"s, kOther},
+                         {"\xff\xff\x00\x00\x00\x03\x01\x83\x02"s, kOther},
+                         {set, kOther},
+                         {"", kOther}});
 }
 
 }  // namespace

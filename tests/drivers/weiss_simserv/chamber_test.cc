@@ -8,6 +8,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/weiss_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/reply_verdicts.h"
 
 namespace abcal::weiss_simserv {
 namespace {
@@ -153,6 +154,138 @@ TEST(WeissChamberTest, TheRampIsTheControllers) {
   EXPECT_NEAR(rig.chamber->read().set_degc, 53.0, 0.5);
   rig.wait(3600.0);
   EXPECT_NEAR(rig.chamber->read().air_degc, 83.0, 0.1);
+}
+
+TEST(WeissChamberTest, TheRecipeInSimservTellsAnswersApart) {
+  using enum test::Verdict;
+  Rig rig(sim::WeissSettings{});
+  rig.chamber->identify();
+  const HaltRecipe recipe = rig.chamber->rest_recipe(ChamberPolicy::kAmbient).value();
+  ASSERT_EQ(recipe.questions.size(), 5U);
+  for (const std::size_t step : {0U, 1U, 2U, 3U})
+    test::expect_verdicts(recipe, recipe.questions[step],
+                          {{"1", kStanding},
+                           {"", kOther},
+                           {"0", kOther},
+                           {"-5", kOther},
+                           {"-6", kOther},
+                           {"-8", kOther},
+                           {"11", kOther},
+                           {"1 ", kOther},
+                           {" 1", kOther},
+                           {"1\xB6", kOther},
+                           {"1\xB6"
+                            "23.0",
+                            kOther}});
+  test::expect_verdicts(recipe, recipe.questions[4],
+                        {{"1\xB6"
+                          "23",
+                          kStanding},
+                         {"1\xB6"
+                          "23.",
+                          kStanding},
+                         {"1\xB6"
+                          "23.0",
+                          kStanding},
+                         {"1\xB6"
+                          "23.000",
+                          kStanding},
+                         {"1\xB6"
+                          "0023.0",
+                          kStanding},
+                         {"1 23.0", kStanding},
+                         {"1\xB6"
+                          "23.01",
+                          kMoving},
+                         {"1\xB6"
+                          "23.5",
+                          kMoving},
+                         {"1\xB6"
+                          "230",
+                          kMoving},
+                         {"1\xB6"
+                          "-23.0",
+                          kMoving},
+                         {"1\xB6"
+                          "+23.0",
+                          kMoving},
+                         {"1\xB6-40.0", kMoving},
+                         {"1\xB6"
+                          "2.3",
+                          kMoving},
+                         {"1\xB6"
+                          "0",
+                          kMoving},
+                         {"", kOther},
+                         {"1", kOther},
+                         {"1\xB6", kOther},
+                         {"-5", kOther},
+                         {"-8\xB6"
+                          "23.0",
+                          kOther},
+                         {"2\xB6"
+                          "23.0",
+                          kOther},
+                         {"1\xB6"
+                          "23.0\xB6",
+                          kOther},
+                         {"1\xB6 23.0", kOther},
+                         {"1\xB6"
+                          "23,0",
+                          kOther},
+                         {"1\xB6LabEvent T/110/70/5", kOther}});
+  const HaltRecipe hold = rig.chamber->rest_recipe(ChamberPolicy::kHold).value();
+  ASSERT_EQ(hold.questions.size(), 2U);
+  test::expect_verdicts(hold, hold.questions[1],
+                        {{"1\xB6LabEvent T/110/70/5", kStanding},
+                         {"1\xB6", kStanding},
+                         {"11", kStanding},
+                         {"1", kOther},
+                         {"", kOther},
+                         {"-5", kOther},
+                         {"-8\xB6", kOther}});
+}
+
+TEST(WeissChamberTest, TheRecipeInAscii2TellsAnswersApart) {
+  using enum test::Verdict;
+  Rig rig(sim::WeissSettings{.simserv = false});
+  rig.chamber->identify();
+  const HaltRecipe recipe = rig.chamber->rest_recipe(ChamberPolicy::kAmbient).value();
+  ASSERT_EQ(recipe.questions.size(), 3U);
+  for (const std::size_t step : {0U, 1U})
+    test::expect_verdicts(recipe, recipe.questions[step],
+                          {{"0", kStanding},
+                           {"", kOther},
+                           {"1", kOther},
+                           {"00", kOther},
+                           {"0 ", kOther},
+                           {"-5", kOther},
+                           {"0023.0 0022.9 0100", kOther}});
+  const std::string channels = "01000000000000000000000000000000";
+  test::expect_verdicts(recipe, recipe.questions[2],
+                        {{"0023.0 0022.9 0050.0 0049.8 " + channels, kStanding},
+                         {"0023.0 0022.9 0050.0 0049.8 " + channels + "Z", kStanding},
+                         {"23.0 -40.0 0", kStanding},
+                         {"23. x 1", kStanding},
+                         {"23.00  1", kStanding},
+                         {"0023.1 0022.9 0050.0 0049.8 " + channels, kMoving},
+                         {"-040.0 0022.9 0050.0 0049.8 " + channels, kMoving},
+                         {"0-40.0 0022.9 0050.0 0049.8 " + channels, kMoving},
+                         {"+023.0 0022.9 " + channels, kMoving},
+                         {"0230.0 0022.9 " + channels, kMoving},
+                         {"0023 0022.9 " + channels, kMoving},
+                         {"", kOther},
+                         {"0", kOther},
+                         {"0023.0", kOther},
+                         {"0023.0 " + channels, kOther},
+                         {"0023.0 0022.9 ", kOther},
+                         {"0023.0 0022.9 0120", kOther},
+                         {"0023.0 0022.9 01ZZ", kOther},
+                         {"0023.0 0022.9 Z", kOther},
+                         {" 0023.0 0022.9 01", kOther},
+                         {"x 0022.9 01", kOther},
+                         {"0023.0 0022.9 01 ", kOther},
+                         {"ASCII-2 Protocol", kOther}});
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/drivers/endless_stream.h"
+#include "tests/drivers/reply_verdicts.h"
 #include "tests/support/error_of.h"
 #include "tests/support/scripted_line.h"
 
@@ -576,6 +577,72 @@ TEST_F(ZaberAsciiStageTest, HaltDoesNotWaitForAQueryUnderWay) {
   line_.await_hold();
   EXPECT_TRUE(stage_->halt());
   EXPECT_NEAR(owner.get(), 14.499375, 1e-9);
+}
+
+TEST_F(ZaberAsciiStageTest, ItsRecipeTellsAStandingAxisFromAMovingOneAndFromOtherReplies) {
+  using enum test::Verdict;
+  connect({.axis_names = {"2 1", "1 2"}, .speed_deg_per_s = {}, .address = {}});
+  const std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+  ASSERT_EQ(recipes.size(), 2U);
+  const HaltRecipe& recipe = recipes[1];
+  ASSERT_EQ(recipe.questions.size(), 2U);
+  test::expect_verdicts(recipe, recipe.questions[0],
+                        {{"@02 1 41 OK IDLE -- 0", kStanding},
+                         {"@02 1 41 OK IDLE WR 0:4A", kStanding},
+                         {"@02 1 41 OK IDLE ", kStanding},
+                         {"@02 1 41 OK BUSY -- 0", kMoving},
+                         {"@02 1 41 OK BUSY NI 0:1F", kMoving},
+                         {"", kOther},
+                         {"@02 1 41 OK IDLE", kOther},
+                         {"@02 1 41 OK idle -- 0", kOther},
+                         {"@02 1 41 OK PARK -- 0", kOther},
+                         {"@02 1 41 RJ IDLE -- BADCOMMAND", kOther},
+                         {"@02 1 41 RJ BUSY -- STATUSBUSY", kOther},
+                         {"@02 1 42 OK IDLE -- 0", kOther},
+                         {"@02 1 83 OK IDLE -- 0", kOther},
+                         {"@02 1 OK IDLE -- 0", kOther},
+                         {"@02 2 41 OK IDLE -- 0", kOther},
+                         {"@02 0 41 OK IDLE -- 0", kOther},
+                         {"@01 1 41 OK IDLE -- 0", kOther},
+                         {"@2 1 41 OK IDLE -- 0", kOther},
+                         {"@12 1 41 OK IDLE -- 0", kOther},
+                         {" @02 1 41 OK IDLE -- 0", kOther},
+                         {"02 1 41 OK IDLE -- 0", kOther},
+                         {"!02 1 IDLE --", kOther},
+                         {"#02 1 41 OK IDLE -- 0", kOther},
+                         {"@02  1 41 OK IDLE -- 0", kOther}});
+  test::expect_verdicts(recipe, recipe.questions[1],
+                        {{"@02 1 83 OK IDLE -- 0", kStanding},
+                         {"@02 1 83 OK BUSY -- 0", kMoving},
+                         {"@02 1 41 OK IDLE -- 0", kOther}});
+  test::expect_verdicts(recipes[0], recipes[0].questions.at(0),
+                        {{"@01 2 41 OK IDLE -- 0", kStanding},
+                         {"@01 2 41 OK BUSY -- 0", kMoving},
+                         {"@02 1 41 OK IDLE -- 0", kOther}});
+}
+
+TEST_F(ZaberAsciiStageTest, WhereTheDevicesAreNotKnownItsRecipeHearsAllOfThem) {
+  using enum test::Verdict;
+  connect();
+  const std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+  ASSERT_EQ(recipes.size(), 1U);
+  for (const std::string id : {"41", "83"}) {
+    const HaltRecipe::Question& question = recipes[0].questions.at(id == "41" ? 0 : 1);
+    EXPECT_GT(question.listen, 0ms);
+    test::expect_verdicts(recipes[0], question,
+                          {{"@01 0 " + id + " OK IDLE -- 0", kStanding},
+                           {"@99 0 " + id + " OK IDLE WR 0:4A", kStanding},
+                           {"@07 0 " + id + " OK BUSY -- 0", kMoving},
+                           {"", kOther},
+                           {"@7 0 " + id + " OK IDLE -- 0", kOther},
+                           {"@007 0 " + id + " OK IDLE -- 0", kOther},
+                           {"@0a 0 " + id + " OK IDLE -- 0", kOther},
+                           {"@01 1 " + id + " OK IDLE -- 0", kOther},
+                           {"@01 0 " + id + " RJ IDLE -- BADCOMMAND", kOther},
+                           {"@01 0 05 OK IDLE -- 0", kOther},
+                           {"@01 0 " + id + " OK IDLE", kOther},
+                           {"!01 0 IDLE --", kOther}});
+  }
 }
 
 }  // namespace
