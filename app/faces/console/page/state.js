@@ -1,7 +1,7 @@
 import {t} from '/language.js';
 import {bannerState, plainState} from '/stop.js';
 
-// What the bench is doing, as the banner has it: a pure function of what the server has said. What is more than plainState() says.
+// The state of the banner with all its details (plainState() in stop.js has none): a pure function of the messages of the server.
 const PHASES = {
   homing: [t('Homing'), 'busy', 'homing', t('The axes are homed')],
   'warming up': [t('Warming up'), 'busy', 'settling', t('Warming up')],
