@@ -1,5 +1,5 @@
-// A page of which a part is missing, has a mistake or never comes: it is not white, says so, and its Stop ends a run that moves. Each
-// broken page is one of its own; the page that steers is whole.
+// Parts of the page are missing, have a mistake, or never end loading. The page is not white and says so, and its Stop ends a run that
+// moves. One whole page steers the run; each broken page is opened and closed for its case.
 import assert from 'node:assert/strict';
 import {readdirSync} from 'node:fs';
 import path from 'node:path';
@@ -9,13 +9,14 @@ import {begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, pictureOf
 import {browserName} from './served_page.mjs';
 
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
-const OTHERS = ['login.js'];  // Used by the login pages, which have no Stop.
+const OTHERS = ['login.js'];  // Belongs to the pages that ask for a login, which have no Stop.
 const WORKS = /The banner and Stop work/, ARBEITET = /Die Anzeige oben und Stopp arbeiten/;
 const MOVES = /^(The axes are homed|The stage moves|Waiting until|Reading)/;
 const step = begin({pace: 5, bench: ENDLESS});
 let run;
 
-// A page of its own, loaded after answers(path) has said what comes instead of each file: a response, 'never', or nothing.
+// Opens a page. answers(path) decides for each file: a response is sent instead of the file, with 'never' none is sent, and with
+// nothing the file itself.
 async function broken(answers, {german = false, view = ''} = {}) {
   const opened = await served.browser.newPage();
   if (german) await opened.evaluateOnNewDocument(() => localStorage.setItem('abcal-language', 'de'));
@@ -26,7 +27,7 @@ async function broken(answers, {german = false, view = ''} = {}) {
     if (answer === 'never') return;
     if (answer) request.respond(answer); else request.continue();
   });
-  opened.goto(`${served.address}${view}`).catch(() => {});  // The browser waits for a file that never arrives.
+  opened.goto(`${served.address}${view}`).catch(() => {});  // This ends late if a file never ends loading.
   const page = new DrivenPage(opened, browserName);
   await page.locator('#do-stop').waitFor();
   return page;
@@ -42,7 +43,7 @@ async function goesOn(page) {
   await stateIs(MOVES);
 }
 
-// The top of the page as a person sees it: the banner with its words, and Stop, which can be pressed.
+// Whether a person can see the banner and Stop, uncovered, and press Stop; and the words of the banner.
 const seen = (page) => page.evaluate(() => {
   const inSight = (id) => {
     const {left, top, width, height} = document.getElementById(id).getBoundingClientRect();
@@ -82,7 +83,7 @@ step('each file that the page asks for is missing, one after another: Stop ends 
   for (const [i, file] of files.entries()) {
     const without = await next;
     await without.front();
-    if (file !== 'print.css') await without.locator('#failed').says(['language.js', 'de.js'].includes(file) ? WORKS : ARBEITET);
+    await without.locator('#failed').says(['language.js', 'de.js'].includes(file) ? WORKS : ARBEITET).catch((error) => { throw new Error(file, {cause: error}); });
     if (['app.js', 'chart.js', 'style.css'].includes(file)) await pictureOf(without, `without-${file.replace('.', '-')}`);
     await stops(without, file);
     await without.close();
@@ -105,7 +106,7 @@ step('files never come: Stop ends the run', async (page) => {
   for (const [i, file] of files.entries()) {
     await waiting[i].front();
     if (file !== 'style.css') await waiting[i].locator('#failed').says(WORKS);
-    await waiting[i].waitForFunction(() => performance.getEntriesByName('first-paint').length > 0);
+    if (browserName === 'chromium') await waiting[i].waitForFunction(() => performance.getEntriesByName('first-paint').length > 0);
     await pictureOf(waiting[i], `waits-for-${file.replace('.', '-')}`);
     await stops(waiting[i], file);
     await waiting[i].close();
@@ -113,7 +114,7 @@ step('files never come: Stop ends the run', async (page) => {
   }
 });
 
-// Modules with a mistake in them: where they begin, in what they do with a message, in what they do when something is pressed.
+// Modules with a mistake in code that is executed at different times.
 const MISTAKES = {
   'when it is loaded': {'/bench.js': 'export class BenchView {} throw new Error("a mistake of this test");'},
   'in a handler of messages': {'/bench.js': 'export class BenchView { offer() {} receive() { throw new Error("a mistake of this test"); } }'},

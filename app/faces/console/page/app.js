@@ -68,7 +68,7 @@ function lostControl(why) {
   byId('lost-control').replaceChildren(t('This page no longer has control: '), why, ' (', timeElement(new Date(), 'clock'), ').');
 }
 
-// Nothing that is not known now looks as if it were.
+// Values that are not known now are shown differently from those that are.
 function show() {
   const there = contact(), known = live.activity !== undefined;
   document.body.classList.toggle('no-contact', !there);
@@ -195,7 +195,7 @@ byId('resume-interrupted').addEventListener('click', () => {
   resume(file, measured === planned, items);
 });
 
-// The parts of the address after "#"; nothing if it cannot be decoded, as "#runs/%E0%A4%A".
+// The decoded parts of the address after "#"; none if it cannot be decoded, e.g. "#runs/%E0%A4%A".
 function partsOfAddress() {
   try {
     return location.hash.slice(1).split('/').map((part) => decodeURIComponent(part));
@@ -222,7 +222,7 @@ function route() {
   if (name === 'chart') showChart();
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
-// It leads to the content of this view, and is the address of none.
+// The link to the content stays on the view that is shown: #main is not the address of a view.
 document.querySelector('.skip').addEventListener('click', (event) => { event.preventDefault(); byId('main').focus(); });
 offerLanguage(byId('language'), () => { byId('reply').textContent = t('Language: not changed, there is no connection to the console'); answered = true; });
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });

@@ -1,4 +1,4 @@
-// As fetch; that no answer came is said in words that the page has, and not as each browser says it.
+// Works as fetch(), but if no answer comes, the error has a text of this page instead of the browser's.
 export async function fetched(path, options = {}, unanswered = 'there is no connection to the console') {
   try {
     return await fetch(path, options);

@@ -1,7 +1,7 @@
 import {t} from '/language.js';
 import {areAtRest, bannerState, plainState} from '/stop.js';
 
-// The state of the bench for the banner, in more detail than plainState(): a pure function of the server's messages.
+// The state of the banner with all its details (plainState() in stop.js has none): a pure function of the messages of the server.
 const PHASES = {
   homing: [t('Homing'), 'busy', 'homing', t('The axes are homed')],
   'warming up': [t('Warming up'), 'busy', 'settling', t('Warming up')],

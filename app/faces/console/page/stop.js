@@ -1,14 +1,14 @@
-// The parts that work whatever else of the page fails: the connection to the console, the banner, and Stop. They need no other module; all
-// others use this connection, this banner and this Stop. In the page it is the first script, and waits neither for style sheets nor
-// for other scripts.
+// The connection to the console, the banner, and Stop: they work even if every other part of the page is missing, fails or never
+// ends loading. This module imports nothing that it needs; all other modules use its connection, its banner and its Stop. It is the
+// first script of the page and waits neither for style sheets nor for other scripts (async).
 export const SILENT_AFTER_MS = 3000;
 export const UNCONFIRMED_AFTER_MS = 2000;
-const LOADED_WITHIN_MS = 5000;  // The other modules; after that the banner says that they are missing.
-const MOST_EARLY = 2000;  // Messages that wait for the other modules.
+const LOADED_WITHIN_MS = 5000;  // After this time the banner says that other modules are missing.
+const MOST_EARLY = 2000;  // So many messages may wait for the other modules.
 
 const byId = (id) => document.getElementById(id);
 
-// Words in the language of the page, and times as the page has them, come from other modules. Without these: English and UTC.
+// Other modules provide the language of the page and its times. Without them texts are English and times are UTC.
 const words = {
   t: (text, ...values) => (typeof text === 'string' ? text : String.raw({raw: text}, ...values)),
   said: (english) => english,
@@ -17,22 +17,27 @@ const words = {
 };
 const t = (...text) => words.t(...text);
 
-// Why part of the page does not work: the first reason, since others follow from it. Empty: all is well.
+// The reason why part of the page does not work: the first one, since others follow from it. Empty if nothing has failed.
 let failure = '', began = false;
 function fail(why) {
   failure ||= why;
   if (began) show();
 }
+const nameOf = (address) => address.replace(`${location.origin}/`, '');
 addEventListener('error', ({target, error}) => {
   if (target !== window) {
-    if (target.matches('script, link[rel=stylesheet]')) fail((target.src || target.href).replace(`${location.origin}/`, ''));
-  } else if (error) {  // Without an error nothing was thrown: a notice of the browser.
+    if (target.matches('script, link[rel=stylesheet]')) fail(nameOf(target.src || target.href));
+  } else if (error) {  // Notices of the browser come without an error: nothing was thrown.
     fail(String(error));
   }
 }, {capture: true});
 addEventListener('unhandledrejection', ({reason}) => fail(String(reason)));
+// The browser keeps a record of files that were refused before this module began to listen.
+new PerformanceObserver((list) => {
+  for (const {name, responseStatus} of list.getEntries()) if (responseStatus >= 400 && /\/[^/]+\.(js|css)$/.test(name)) fail(nameOf(name));
+}).observe({type: 'resource', buffered: true});
 
-// Another module's mistake is reported, and keeps nothing here from going on.
+// Reports an exception of another module; the code that follows the call is still executed.
 function safely(act) {
   try {
     act();
@@ -41,8 +46,9 @@ function safely(act) {
   }
 }
 
-// The rest of the page: receive(message), and contact(), which is called each second and whenever contact begins or ends. Messages
-// that came before it are passed on; if they were too many, the connection is made again and begins with the whole state.
+// The rest of the page has two functions: receive(message), and contact(), which is called each second and whenever contact begins
+// or ends. It receives messages that came before it was attached. If there were too many, the connection is opened again and begins
+// with the whole state.
 let rest = null, early = [], tooMany = false;
 export function attach(listener) {
   rest = listener;
@@ -53,13 +59,13 @@ export function attach(listener) {
 
 function pass(message) {
   if (rest) return safely(() => rest.receive(message));
-  if (message.type === 'snapshot') early = early.filter(({type}) => type === 'you');  // It says what all before it have said.
+  if (message.type === 'snapshot') early = early.filter(({type}) => type === 'you');  // A snapshot replaces all messages before it.
   if (early.length < MOST_EARLY) early.push(message);
   else tooMany = true;
 }
 
-// ---- The connection, a WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each
-// second the bench sends a beat, which is answered.
+// ---- The connection is a WebSocket, which is opened again whenever it is closed. The bench sends a beat each second; the page
+// answers it and keeps the time of the last one.
 
 let socket, wait = 500, lastId = 0;
 let heard = null;     // performance.now() of the last beat
@@ -91,7 +97,7 @@ function open() {
   };
 }
 
-// Whether this page may still be here: a WebSocket that is declined does not say why.
+// Loads the page again if its login has ended: a WebSocket that is refused does not say why.
 async function askWho() {
   try {
     if ((await fetch('/who')).status === 401) location.reload();
@@ -106,7 +112,7 @@ function receive(message) {
     if (resolve) resolve(message);
     return;
   }
-  // A beat, or the whole state to begin with; anything else may have been on its way for long.
+  // Only a beat and the whole state show that the bench is there now; other messages may have been queued for long.
   if (message.type === 'beat' || message.type === 'snapshot') {
     const before = contact();
     heard = performance.now();
@@ -118,7 +124,8 @@ function receive(message) {
   pass(message);
 }
 
-// The answer: {ok, why}; `lost`: none came, and nobody knows whether the request was carried out.
+// Sends a request. The answer is {ok, why}. With `unsent` the request was not sent; with `lost` no answer came, and it is not known
+// whether the request was carried out.
 export function ask(request) {
   if (!connected()) return Promise.resolve({ok: false, unsent: true, why: t('there is no connection to the console')});
   const id = ++lastId;
@@ -128,7 +135,7 @@ export function ask(request) {
   });
 }
 
-// ---- What is known of the bench: as much as Stop and a plain banner need.
+// ---- The state of the bench, as far as Stop and a plain banner need it.
 
 let activity = null, bench = {state: 'on'}, fault = null;
 // State of the axes by the guard of the stage, which answers also while the process that holds the bench does not.
@@ -143,7 +150,7 @@ function note(message) {
     ({activity, fault} = message);
     byId('bench-name').textContent = message.about.bench_file;
     bench = message.bench ?? {state: 'on'};
-    // Where axes have halted is not so any more if somebody has moved them while this page was away.
+    // Somebody may have moved the axes again while this page had no connection.
     if (message.halt) showHalt(message.halt);
     else if (activity.activity === 'idle' || haltKnown) clearHalt();
   } else if (message.type === 'activity') {
@@ -168,8 +175,10 @@ function note(message) {
 
 // ---- The banner
 
-// The activity of the bench in one word, and what a person should know with it. kind: colour and icon of the tab (favicon-KIND.svg).
-// english: what the program says further, in English alone.
+// A state of the banner. word: the activity in one word; kind: colour of the banner and icon of the tab (favicon-KIND.svg); icon:
+// symbol of index.html; sentence: the activity in a sentence; english: a text of the program, which is appended to the sentence and
+// is translated if there are words for it; fault: the instrument at fault; todo: advice; limit: the time limit that runs; known:
+// false if no state has been received yet.
 export const bannerState = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sentence, fault: '', todo: '', limit: null, known: true, english: '', ...more});
 
 // The axes in words, where one of them is not confirmed at rest; empty otherwise.
@@ -184,7 +193,7 @@ function axesInWords({x, z}) {
   return `${one('X', x)} ${one('Z', z)}`;
 }
 
-// As far as it follows from the activity of the bench and from its guard.
+// The state of the banner as far as the activity of the bench determines it. view: as stateOf() in state.js.
 export function plainState(view) {
   if (!view.known) return bannerState(t('No contact'), 'lost', 'lost', t('Nothing is known of the bench yet'), {todo: t('Use the switch on the stage if it must stop now.'), known: false});
   const moving = axesInWords(view.axes);
@@ -200,13 +209,14 @@ export function plainState(view) {
   return bannerState(t('Idle'), 'idle', 'idle', t('No run is in progress.'));
 }
 
-// The one who writes the banner is the rest of the page, as long as nothing of it has failed: else it might stand still.
+// Shows a state that another module has determined. Once part of the page has failed this has no effect, since that module may no
+// longer follow the bench; from then on the banner shows plainState().
 export function showBanner(seen, more) {
   if (!failure) write(seen, more);
 }
 
 let written = '';
-// limit, count: words on the time limit that runs, and on the progress for the title.
+// limit: the time limit that runs, in words; count: the progress for the title of the page.
 function write(seen, {limit = '', count = ''} = {}) {
   const there = contact();
   const word = there ? seen.word : t('No contact');
@@ -240,21 +250,21 @@ function missing() {
   return '';
 }
 
-// Shows what is known, and since when; outdated data are marked as such.
+// Writes the warnings, the plain banner if no other module writes it, and whether Stop can be pressed.
 function show() {
   const silent = silence(), lost = byId('contact'), failed = byId('failed'), problem = missing();
   if (silent.length || lost.childNodes.length) lost.replaceChildren(...silent);
   if (failed.textContent !== problem) failed.textContent = problem;
   if (!rest || failure) write(plainState({known: activity !== null, activity, bench, fault, axes: guarded}));
-  // Everybody may stop, with control or without, as long as anything can move or nobody knows whether it does.
+  // Everybody may stop, with control or without, while anything can move and while it is not known whether it does.
   const mayMove = (activity && !['idle', 'analysing'].includes(activity.activity)) || (!contact() && heardUtc !== null) || bench.state !== 'on' || !areAtRest(guarded);
   for (const id of ['do-stop', 'dialog-stop']) byId(id).disabled = !mayMove;
 }
 
-// ---- Stop is sent at once and by anybody; it is done when each axis has said that it stands still.
+// ---- Stop is sent at once. It is complete when each axis has confirmed that it stands still.
 
-let stopping = null;  // While the axes have not answered.
-let haltKnown = false;  // The text of the halt is the answer of the axes.
+let stopping = null;  // The timer that runs until the axes have answered.
+let haltKnown = false;  // True if #halt shows the answer of the axes.
 let haltWords = () => [];
 function sayOfHalt(said) {
   haltWords = said;
@@ -285,7 +295,7 @@ function showHalt({axes, took_s: took, since}) {
   sayOfHalt(() => [t`Axis X ${became(axes.x)}. Axis Z ${became(axes.z)}. (${took.toFixed(2)} s, `, words.clock(since), ')', all ? '' : t(' Use the switch on the stage.')]);
 }
 
-// ---- It begins when the whole of index.html is there, whatever that loads.
+// ---- The page begins here, when index.html has been read; files that it names may still be loading.
 
 if (document.readyState === 'loading') await new Promise((done) => document.addEventListener('readystatechange', done, {once: true}));
 began = true;
@@ -293,7 +303,7 @@ for (const id of ['do-stop', 'dialog-stop']) byId(id).addEventListener('click', 
 let escaped = -Infinity;
 addEventListener('keydown', (event) => {
   if (event.key !== 'Escape' || event.repeat) return;
-  // When it was pressed: a busy page hears of it late.
+  // By the time at which the key was pressed: a busy page receives the event late.
   if (event.timeStamp - escaped < 1000) {
     escaped = -Infinity;
     if (!byId('do-stop').disabled) stop();
@@ -304,9 +314,11 @@ addEventListener('keydown', (event) => {
 open();
 show();
 setInterval(contactMayHaveChanged, 1000);
-// A browser shows nothing while a style sheet is on its way. One that is late is asked for again, in a way that nothing waits for.
+// A browser draws nothing while it waits for a style sheet of index.html. A late one is replaced by a copy, for which no browser but
+// Firefox waits; there all loading is ended.
 setTimeout(() => {
   for (const sheet of document.querySelectorAll('link[rel=stylesheet]:not([media])')) if (!sheet.sheet) sheet.replaceWith(sheet.cloneNode());
+  if (!rest && !byId('do-stop').checkVisibility()) window.stop();
 }, LOADED_WITHIN_MS);
 
 function speak(better) {
@@ -315,7 +327,7 @@ function speak(better) {
   sayOfHalt(haltWords);
   contactMayHaveChanged();
 }
-const without = () => {};  // Whoever needs the module reports that it is missing.
+const without = () => {};  // Such a failure is reported by the modules that need the file.
 import('/language.js').then(({t: inLanguage, translate}) => { translate(byId('top')); speak({t: inLanguage}); }, without);
 import('/said.js').then(({said, translated}) => speak({said, translated}), without);
 import('/time.js').then(({timeElement}) => speak({clock: (moment) => timeElement(moment, 'clock')}), without);
