@@ -1,6 +1,8 @@
 // abcal-guard: opens the ports of a stage and a chamber for the program that moves them, passes the bytes on,
 // and halts the axes and leaves the chamber as its policy says if that program dies or hangs
 // (app/operate/bench/guard_service.h). Started by abcal, with one end of a socket as descriptor 3.
+#include <sys/resource.h>
+
 #include <csignal>
 #include <exception>
 #include <string>
@@ -20,6 +22,8 @@ int main(int argc, char** argv) {
   // Signals that end the owner (Ctrl-C, a closed terminal, the end of a service) must not end the guard as
   // well.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) std::signal(number, SIG_IGN);
+  // Where this user may: on a busy machine it is the last that should wait.
+  (void)::setpriority(PRIO_PROCESS, 0, -10);
   try {
     abcal::RealClock clock;
     abcal::GuardService::Options options;

@@ -8,7 +8,6 @@
 #include <cstdlib>
 #include <fstream>
 #include <utility>
-#include <vector>
 
 #include "protocol/record/run_file.h"
 
@@ -82,30 +81,35 @@ std::filesystem::path state_folder() {
 
 std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner) {
   std::ifstream stream(file);
-  std::string line, words;
+  std::string line, reason, outcome;  // The first reason and the last result are enough for a person.
   Json began;
-  std::vector<std::string> since;
-  for (; std::getline(stream, line);) {
+  const auto forget = [&] {
+    reason.clear();
+    outcome.clear();
+  };
+  while (std::getline(stream, line)) {
     const Json entry = Json::parse(line, nullptr, /*allow_exceptions=*/false);
     if (!entry.is_object()) continue;  // Half a line: the computer lost its supply.
     const std::string what = entry.value("what", "");
     if (what == GuardLog::kBegan) {
       if (entry.value("owner", "").find(owner) == std::string::npos) continue;
       began = entry;
-      words.clear();
+      forget();
       continue;
     }
     if (!began.is_object() || entry.value("guard", 0) != began.value("guard", 0)) continue;
+    const std::string text = fmt::format("{}: {}", entry.value("utc", ""), entry.value("text", ""));
     if (what == GuardLog::kEnded) {
-      words.clear();
-    } else if (what == GuardLog::kDied || what == GuardLog::kHalting || what == GuardLog::kHalted ||
-               what == GuardLog::kNotHalted) {
-      words +=
-          fmt::format("{}{}: {}", words.empty() ? "" : "; ", entry.value("utc", ""), entry.value("text", ""));
+      forget();
+    } else if (what == GuardLog::kHalted || what == GuardLog::kNotHalted) {
+      outcome = text;
+    } else if ((what == GuardLog::kDied || what == GuardLog::kHalting) && reason.empty()) {
+      reason = text;
     }
   }
-  if (words.empty()) return std::nullopt;
-  return fmt::format("{} did not end in order. {}", began.value("owner", ""), words);
+  if (reason.empty() && outcome.empty()) return std::nullopt;
+  return fmt::format("{} did not end in order. {}{}{}", began.value("owner", ""), reason,
+                     reason.empty() || outcome.empty() ? "" : "; ", outcome);
 }
 
 }  // namespace abcal

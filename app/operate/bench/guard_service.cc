@@ -113,6 +113,7 @@ bool GuardService::tick() {
   if (ended_in_order_) return false;
   if (!owner_alive_) return true;
   check_beat();
+  if (ended_in_order_) return false;
   if (clock_.now() - own_beat_at_ >= options_.limits.own_beat) {
     own_beat_at_ = clock_.now();
     send({{"kind", to_owner::kBeat}});
@@ -131,6 +132,11 @@ void GuardService::check_time() {
 }
 
 void GuardService::check_beat() {
+  // On a busy machine this thread may have stood still since poll(): a beat that came meanwhile counts first.
+  for (pollfd more{.fd = options_.socket, .events = POLLIN, .revents = 0};
+       owner_alive_ && !ended_in_order_ && ::poll(&more, 1, 0) == 1;)
+    receive_from_owner();
+  if (!owner_alive_ || ended_in_order_) return;
   const Clock::Duration silent = clock_.now() - beat_at_;
   OwnerBeat beat;
   {
@@ -212,6 +218,7 @@ void GuardService::handle(GuardPacket packet) {
   } else if (kind == to_guard::kHalt) {
     halt(json.at("why").get<std::string>(), false);
   } else if (kind == to_guard::kEnd) {
+    if (may_move()) halt(owner_ + " has ended while an axis was moving", false);
     ended_in_order_ = is_all_done();
     if (!ended_in_order_) {  // It goes on until the halt is confirmed, as after the owner's death.
       owner_alive_ = false;

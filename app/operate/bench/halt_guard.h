@@ -31,7 +31,7 @@ namespace abcal {
 /// The owner's end of a guard (GuardService, in a process of its own, abcal-guard). The guard opens the ports
 /// of a stage and a chamber and passes the bytes on. It halts the axes if this process dies or its moving
 /// thread gives no sign of life for 1 s while an axis may be moving. This end watches the guard in turn:
-/// while an axis may be moving and the guard is dead or silent for 0.5 s, the axes are halted over duplicates
+/// while an axis may be moving and the guard is dead or silent for 0.9 s, the axes are halted over duplicates
 /// of the ports' descriptors.
 ///
 /// Functions may be called from any thread.
@@ -103,6 +103,7 @@ class HaltGuard {
   bool is_alive() const;
 
   RealClock clock_;
+  const bool has_name_;              ///< The bench has one: its last session can be found in the log.
   const std::string bench_, owner_;  ///< In words: "on the bench \"left\"", "a run on the bench \"left\"".
 
   mutable std::mutex mutex_;

@@ -49,6 +49,7 @@ enum class Injection {
   kStopGuard,
   kUnplug,         ///< The port is gone for 2 s, in motion.
   kUnplugAndKill,  ///< The port is gone for 2 s, and the program is killed meanwhile.
+  kFreezeBoth,     ///< Program and guard stand still for 2 s, as in a frozen container.
   kBabble,         ///< Killed, and the controller answers with a line of 60 000 bytes first.
 };
 
@@ -68,6 +69,8 @@ std::string name_of(Injection injection) {
       return "unplug";
     case Injection::kUnplugAndKill:
       return "unplug_and_kill";
+    case Injection::kFreezeBoth:
+      return "freeze_both";
     case Injection::kBabble:
       return "babble";
   }
@@ -192,6 +195,15 @@ class HangTest : public ProgramTest {
         run->signal(SIGKILL);
         from += 2s;
         break;
+      case Injection::kFreezeBoth:
+        run->signal(SIGSTOP);
+        ::kill(guard, SIGSTOP);
+        std::this_thread::sleep_for(2s);  // The freeze: the test.
+        EXPECT_TRUE(control->anything_moves()) << "nobody can halt it meanwhile";
+        ::kill(guard, SIGCONT);
+        run->signal(SIGCONT);
+        from = std::chrono::steady_clock::now();
+        break;
       case Injection::kBabble:
         control->ask({{"do", "fault"},
                       {"kind", "replaced-reply"},
@@ -227,7 +239,8 @@ class HangTest : public ProgramTest {
     }
     const int code = run->wait();
     if (injection == Injection::kStopRun || injection == Injection::kStopThread ||
-        injection == Injection::kKillGuard || injection == Injection::kStopGuard) {
+        injection == Injection::kKillGuard || injection == Injection::kStopGuard ||
+        injection == Injection::kFreezeBoth) {
       EXPECT_EQ(code, 3) << run->err();
       EXPECT_THAT(run->err(), HasSubstr("guard")) << "the reason";
       EXPECT_THAT(run->err(), HasSubstr("resume"));
@@ -278,7 +291,8 @@ TEST_P(EachInjection, LeavesNothingMoving) {
 INSTANTIATE_TEST_SUITE_P(Quick, EachInjection,
                          testing::Combine(testing::Values("pi_gcs"),
                                           testing::Values(Injection::kStopRun, Injection::kStopThread,
-                                                          Injection::kKillGuard, Injection::kUnplugAndKill)),
+                                                          Injection::kKillGuard, Injection::kUnplugAndKill,
+                                                          Injection::kFreezeBoth)),
                          name_of_case);
 
 class LongEachInjection : public EachInjection {};
@@ -293,13 +307,13 @@ std::vector<std::string> names_of_stages() {
   return names;
 }
 
-INSTANTIATE_TEST_SUITE_P(EachStage, LongEachInjection,
-                         testing::Combine(testing::ValuesIn(names_of_stages()),
-                                          testing::Values(Injection::kStopRun, Injection::kStopThread,
-                                                          Injection::kKillRun, Injection::kKillGuard,
-                                                          Injection::kStopGuard, Injection::kUnplug,
-                                                          Injection::kUnplugAndKill, Injection::kBabble)),
-                         name_of_case);
+INSTANTIATE_TEST_SUITE_P(
+    EachStage, LongEachInjection,
+    testing::Combine(testing::ValuesIn(names_of_stages()),
+                     testing::Values(Injection::kStopRun, Injection::kStopThread, Injection::kKillRun,
+                                     Injection::kKillGuard, Injection::kStopGuard, Injection::kUnplug,
+                                     Injection::kUnplugAndKill, Injection::kFreezeBoth, Injection::kBabble)),
+    name_of_case);
 
 /// Stop from another program reaches the guard of a run that hangs, which confirms the rest of each axis.
 TEST_F(HangTest, StopOfAnotherProgramReachesTheGuardDirectly) {

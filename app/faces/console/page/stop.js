@@ -324,6 +324,7 @@ setTimeout(() => {
 function speak(better) {
   Object.assign(words, better);
   written = '';
+  byId('state').replaceChildren();  // The words there now may be those of before, in English and not marked so.
   sayOfHalt(haltWords);
   contactMayHaveChanged();
 }
