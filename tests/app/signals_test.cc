@@ -184,7 +184,8 @@ TEST(SignalPolicyDeathTest, WhoeverOpensAStageHasUndertakenAnOrderlyEnd) {
   const auto open = [](const std::string& port) {
     heed_signals();
     watch_for_signals();
-    set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());  // The guard opens the port.
+    set_helper_folder(
+        std::filesystem::path(test::abcal_program()).parent_path());  // The guard opens the port.
     BenchText bench;
     bench.stage_port = port;
     try {
