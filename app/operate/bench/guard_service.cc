@@ -165,9 +165,10 @@ void GuardService::halt(const std::string& why, bool chambers) {
     const GuardedConnection::Status status = connection->status();
     if (!status.chamber.empty() && !chambers) continue;
     connection->drop(true);
-    // A port that is closed, or where a halt is under way already: the owner learns so at once.
-    const bool is_new = status.is_done() && status.state != GuardedConnection::State::kClosed;
-    if (!is_new && (status.axes[0] || status.axes[1])) report_halt(name, status);
+    // The owner learns at once that a port is closed or gone. A halt that is under way reports by itself.
+    const bool is_out_of_reach = status.state == GuardedConnection::State::kClosed ||
+                                 status.state == GuardedConnection::State::kUnreachable;
+    if (is_out_of_reach && (status.axes[0] || status.axes[1])) report_halt(name, status);
   }
   {
     // From here on the connections know. Not before: a port that is lost now asks whether its axes may be

@@ -122,6 +122,7 @@ export default {
   'Item {}': 'Gegenstand {}',
   'Items': 'Gegenstände',
   '{} angles': '{} Winkel',
+  'Its guard has confirmed that the axes are at rest.': 'Sein Wächter hat bestätigt, dass die Achsen stehen.',
   'Last mean ({})': 'Letztes Mittel ({})',
   'Not at rest': 'Nicht in Ruhe',
   'Result of item {}': 'Ergebnis von Gegenstand {}',

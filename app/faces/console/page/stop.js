@@ -193,11 +193,14 @@ function axesInWords({x, z}) {
   return `${one('X', x)} ${one('Z', z)}`;
 }
 
+// Empty where nothing was moved, so that there is no guard to confirm it.
+const confirmedAtRest = ({x, z}) => (x.state === 'at rest' || z.state === 'at rest' ? t('Its guard has confirmed that the axes are at rest.') : '');
+
 // The state of the banner as far as the activity of the bench determines it. view: as stateOf() in state.js.
 export function plainState(view) {
   if (!view.known) return bannerState(t('No contact'), 'lost', 'lost', t('Nothing is known of the bench yet'), {todo: t('Use the switch on the stage if it must stop now.'), known: false});
   const moving = axesInWords(view.axes);
-  if (view.bench.state !== 'on') return bannerState(t('Not known'), 'fault', 'lost', [t(view.bench.words), moving].filter(Boolean).join(' '), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
+  if (view.bench.state !== 'on') return bannerState(t('Not known'), 'fault', 'lost', [t(view.bench.words), moving || confirmedAtRest(view.axes)].filter(Boolean).join(' '), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
   const what = view.activity.activity;
   if (what !== 'idle' && view.activity.stop_asked) return bannerState(t('Stopping'), 'fault', 'stop', t('Stopping: the stage is being halted'), {todo: t('Use the switch on the stage if it still moves.')});
   if (what === 'checking') return bannerState(t('Checking'), 'busy', 'reading', t('Checking the bench'));
