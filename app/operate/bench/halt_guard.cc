@@ -207,7 +207,11 @@ std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const
   if (answer.json.value("kind", "") != to_owner::kOpened) {
     const std::string detail = answer.json.value("detail", kGone);
     if (!answer.json.contains("fault")) throw std::invalid_argument(detail);
-    if (answer.json.value("held_by_guard", false)) throw wire::PortHeld(port, detail, {{"", "abcal-guard"}});
+    if (const auto held = answer.json.find("held_by_guard"); held != answer.json.end()) {
+      std::vector<wire::PortHolder> holders;
+      if (held->get<bool>()) holders.push_back({"", "abcal-guard"});
+      throw wire::PortHeld(port, detail, std::move(holders));
+    }
     throw InstrumentError(answer.json.value("instrument", port),
                           static_cast<Fault>(answer.json.at("fault").get<int>()), detail);
   }
