@@ -209,7 +209,8 @@ void GuardService::handle(GuardPacket packet) {
   } else if (kind == to_guard::kOpen) {
     halted_because_.clear();
     PortRequest request = port_request_from(json);
-    connection(request.name).open(std::move(request));
+    GuardedConnection& wanted = connection(request.name);
+    wanted.open(std::move(request));
   } else if (kind == to_guard::kRecipes) {
     const std::string name = json.at("name").get<std::string>();
     std::vector<HaltRecipe> recipes;
