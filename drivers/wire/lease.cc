@@ -18,6 +18,7 @@
 #include <string>
 #include <vector>
 
+#include "drivers/wire/device_file.h"
 #include "drivers/wire/port_held.h"
 
 namespace abcal::wire {
@@ -104,12 +105,13 @@ std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view
   if (std::shared_ptr<Lease> present = taken[resource].lock()) return present;
   const std::filesystem::path folder = lease_folder();
   const int descriptor = folder.empty() ? -1 : open_file(folder / file_name(resource));
+  if (descriptor >= 0 && !lock(descriptor)) {
+    const Descriptor refused(descriptor);  // Closed as it is: its text belongs to the holder.
+    if (errno == EAGAIN || errno == EACCES) throw_held(resource, descriptor);
+    return std::make_shared<Lease>(-1);  // A file system without locks.
+  }
   auto lease = std::make_shared<Lease>(descriptor);
   if (descriptor >= 0) {
-    if (!lock(descriptor)) {
-      if (errno == EAGAIN || errno == EACCES) throw_held(resource, descriptor);
-      return lease;  // A file system without locks.
-    }
     const std::string words = own_words(holder);
     if (::ftruncate(descriptor, 0) == 0) (void)!::pwrite(descriptor, words.data(), words.size(), 0);
   }

@@ -58,9 +58,10 @@ class AnotherProgram {
 };
 
 TEST(LeaseTest, AnotherProgramIsRefusedWithTheWordsOfTheHolder) {
-  AnotherProgram another(resource());
+  AnotherProgram another(resource()), third(resource());
   const auto lease = Lease::take(resource(), "a run by A. B.");
   EXPECT_EQ(another.take(), 1);
+  EXPECT_EQ(third.take(), 1) << "a refusal leaves the words as they are";
 }
 
 TEST(LeaseTest, AReleasedLeaseIsGranted) {
