@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/operate/bench/guard_packets.h"
 #include "app/operate/bench/halt_guard.h"
 
 namespace abcal::console {
@@ -18,9 +19,9 @@ constexpr std::chrono::milliseconds kAnswerTime{300};
 
 /// How much a person must know of a state; of several guards the worst counts.
 int rank(const std::string& state) {
-  if (state == "unreachable") return 3;
-  if (state == "may be moving") return 2;
-  return state == "at rest" ? 1 : 0;
+  if (state == axis_state::kUnreachable) return 3;
+  if (state == axis_state::kMayMove) return 2;
+  return state == axis_state::kAtRest ? 1 : 0;
 }
 
 }  // namespace
@@ -55,7 +56,7 @@ void GuardWatch::watch(const std::stop_token& end) {
     }
     Known known = ask({{"kind", "status"}});
     if (due && !known.is_at_rest) {
-      known = ask({{"kind", "halt"}, {"by", due->by}});
+      known = ask({{"kind", to_guard::kHalt}, {"by", due->by}});
       is_halting = true;
     }
     is_halting = is_halting && !known.is_at_rest;
@@ -70,7 +71,8 @@ GuardWatch::Known GuardWatch::ask(const Json& question) {
   pid_t holder = 0;
   if (std::ifstream(lock_file_) >> holder && holder > 0) owners_.insert(holder);
   Known known{
-      {{"type", "guard"}, {"axes", {{"x", {{"state", "not moved"}}}, {"z", {{"state", "not moved"}}}}}},
+      {{"type", "guard"},
+       {"axes", {{"x", {{"state", axis_state::kNotMoved}}}, {"z", {{"state", axis_state::kNotMoved}}}}}},
       true};
   for (auto owner = owners_.begin(); owner != owners_.end();) {
     const std::vector<Json> answers = ask_guards(*owner, question, kAnswerTime);

@@ -36,6 +36,17 @@ inline constexpr const char* kHalting = "halting";  ///< The guard has begun to 
 inline constexpr const char* kHalted = "halted";    ///< The result of the first attempt on a port.
 }  // namespace to_owner
 
+/// States of an axis in the answer to "status" (members axes.x.state and axes.z.state). The page reads them,
+/// too.
+namespace axis_state {
+inline constexpr const char* kNotMoved = "not moved";  ///< Nothing was commanded.
+inline constexpr const char* kAtRest = "at rest";      ///< Its controller has said so.
+inline constexpr const char* kMayMove =
+    "may be moving";  ///< Commanded to move, or a halt is not confirmed yet.
+inline constexpr const char* kUnreachable =
+    "unreachable";  ///< Its port is gone, or its controller is silent.
+}  // namespace axis_state
+
 /// Longest packet, in bytes; recipes are one or two kilobytes each.
 inline constexpr std::size_t kLongestGuardPacket = 64 * 1024;
 

@@ -363,23 +363,25 @@ GuardService::Json GuardService::status() const {
   Json axes = Json::object();
   for (const StageAxis axis : kStageAxes) {
     const std::size_t k = index(axis);
-    Json json = {{"state", "not moved"}};
+    Json json = {{"state", axis_state::kNotMoved}};
     {
       const std::lock_guard lock(mutex_);
       if (beat_.may_move[k])
-        json = {{"state", "may be moving"}};
+        json = {{"state", axis_state::kMayMove}};
       else if (has_moved_[k])
-        json = {{"state", "at rest"}, {"since", format_utc(rest_since_[k])}};
+        json = {{"state", axis_state::kAtRest}, {"since", format_utc(rest_since_[k])}};
     }
     for (const auto& [name, connection] : connections_) {
       const GuardedConnection::Status status = connection->status();
       if (!status.axes[k]) continue;
       if (status.state == GuardedConnection::State::kHalting)
-        json = {{"state", "may be moving"}, {"since", format_utc(status.since)}};
+        json = {{"state", axis_state::kMayMove}, {"since", format_utc(status.since)}};
       else if (status.state == GuardedConnection::State::kUnreachable)
-        json = {{"state", "unreachable"}, {"since", format_utc(status.since)}, {"detail", status.detail}};
+        json = {{"state", axis_state::kUnreachable},
+                {"since", format_utc(status.since)},
+                {"detail", status.detail}};
       else if (status.state == GuardedConnection::State::kAtRest)
-        json = {{"state", "at rest"}, {"since", format_utc(status.since)}};
+        json = {{"state", axis_state::kAtRest}, {"since", format_utc(status.since)}};
     }
     axes[axis == StageAxis::kX ? "x" : "z"] = std::move(json);
   }

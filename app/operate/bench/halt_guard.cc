@@ -108,11 +108,6 @@ pid_t HaltGuard::process() const {
   return process_;
 }
 
-int HaltGuard::generation() const {
-  const std::lock_guard lock(mutex_);
-  return generation_;
-}
-
 std::string HaltGuard::last_incident() const {
   const std::lock_guard lock(mutex_);
   return incident_;
@@ -137,7 +132,6 @@ void HaltGuard::start() {
     process_ = guard.process;
     socket_ = guard.socket;
     pidfd_ = static_cast<int>(::syscall(SYS_pidfd_open, guard.process, 0));
-    ++generation_;
     alive_ = true;
     heard_ = clock_.now();
     beat_ = {};
@@ -188,8 +182,8 @@ std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const
                                                   const wire::SerialSettings& settings) {
   const std::lock_guard starting(start_mutex_);
   if (!is_alive()) start();
-  const auto opening = std::make_shared<Opening>();
-  std::future<GuardPacket> answered = opening->answer.get_future();
+  const auto opening = std::make_shared<std::promise<GuardPacket>>();
+  std::future<GuardPacket> answered = opening->get_future();
   {
     const std::lock_guard lock(mutex_);
     openings_[name] = opening;
@@ -386,7 +380,7 @@ void HaltGuard::note_silence(const std::string& why) {
     alive_ = false;
     moves = (beat_.may_move[0] || beat_.may_move[1]) && halted_because_.empty();
     if (moves) halted_because_ = why + " while an axis was moving; this program halts the axes itself";
-    for (const auto& [name, opening] : std::exchange(openings_, {})) opening->answer.set_value({});
+    for (const auto& [name, opening] : std::exchange(openings_, {})) opening->set_value({});
   }
   changed_.notify_all();
   // One that hangs must not write to the ports again: from here on this program does.
@@ -404,7 +398,7 @@ void HaltGuard::receive(GuardPacket packet) {
     if (kind == to_owner::kOpened || kind == to_owner::kFailed) {
       const auto found = openings_.find(packet.json.value("name", ""));
       if (found != openings_.end()) {
-        found->second->answer.set_value(std::move(packet));
+        found->second->set_value(std::move(packet));
         openings_.erase(found);
       }
     } else if (kind == to_owner::kTaken) {

@@ -83,14 +83,8 @@ class HaltGuard {
   std::string last_incident() const;
   pid_t process() const;
 
-  /// How often a guard was started; a new one holds nothing.
-  int generation() const;
-
  private:
   using Json = nlohmann::json;
-  struct Opening {
-    std::promise<GuardPacket> answer;
-  };
 
   void start();
   void end();
@@ -111,13 +105,13 @@ class HaltGuard {
   int socket_ = -1;
   int pidfd_ = -1;
   pid_t process_ = -1;
-  int generation_ = 0;
   bool alive_ = false;
   Clock::Instant heard_, beat_sent_;
   OwnerBeat beat_;
   std::optional<std::thread::id> moving_thread_;
-  std::map<std::string, std::shared_ptr<Opening>> openings_;  ///< That the guard has not answered yet.
-  std::map<std::string, int> duplicates_;                     ///< Descriptors of open ports, by name.
+  std::map<std::string, std::shared_ptr<std::promise<GuardPacket>>>
+      openings_;                           ///< That the guard has not answered yet.
+  std::map<std::string, int> duplicates_;  ///< Descriptors of open ports, by name.
   std::map<std::string, std::vector<HaltRecipe>> recipes_;
   int recipes_taken_ = 0;
   std::string halted_because_;
