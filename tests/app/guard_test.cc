@@ -61,6 +61,20 @@ TEST_F(GuardLogTest, ASessionThatEndedInOrderIsNoIncident) {
   EXPECT_FALSE(last_incident(file, "bench 1"));
 }
 
+TEST_F(GuardLogTest, AnAxisThatMovedWhenProgramAndGuardEndedTogetherIsNamed) {
+  const auto move = [&](std::string_view what, const char* axis) {
+    Session run(file, "bench 1");
+    run.log_.add(GuardLog::kMoves, kNoon, {{"axis", "Z"}});
+    run.log_.add(what, kNoon, {{"axis", axis}});
+  };
+  move(GuardLog::kAtRest, "X");
+  EXPECT_THAT(last_incident(file, "bench 1").value_or(""),
+              AllOf(HasSubstr("bench 1 did not end in order"),
+                    HasSubstr("axis Z was moving since 2026-03-01T12:00:00")));
+  move(GuardLog::kAtRest, "Z");
+  EXPECT_FALSE(last_incident(file, "bench 1")) << "it was at rest";
+}
+
 TEST_F(GuardLogTest, ALineThatWasCutOffIsPassedOver) {
   { Session(file, "bench 1").add(GuardLog::kHalted, "axis X: halted"); }
   test::write_file(file, test::read_file(file) + "{\"what\":\"en");

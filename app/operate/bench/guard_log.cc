@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <fstream>
+#include <map>
 #include <utility>
 
 #include "protocol/record/run_file.h"
@@ -79,13 +80,27 @@ std::filesystem::path state_folder() {
   return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".local/state/abcal";
 }
 
+namespace {
+
+bool is_running_guard(pid_t process) {
+  std::ifstream file(fmt::format("/proc/{}/comm", process));
+  std::string name;
+  return std::getline(file, name) && name == "abcal-guard";
+}
+
+}  // namespace
+
 std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner) {
   std::ifstream stream(file);
   std::string line, reason, outcome;  // The first reason and the last result are enough for a person.
   Json began;
+  std::map<std::string, std::string>
+      moving;         // Axes that were not confirmed at rest, and since when they move.
+  bool open = false;  // Its last entry is not that of its end.
   const auto forget = [&] {
     reason.clear();
     outcome.clear();
+    moving.clear();
   };
   while (std::getline(stream, line)) {
     const Json entry = Json::parse(line, nullptr, /*allow_exceptions=*/false);
@@ -95,19 +110,32 @@ std::optional<std::string> last_incident(const std::filesystem::path& file, std:
       if (entry.value("owner", "").find(owner) == std::string::npos) continue;
       began = entry;
       forget();
+      open = true;
       continue;
     }
     if (!began.is_object() || entry.value("guard", 0) != began.value("guard", 0)) continue;
     const std::string text = fmt::format("{}: {}", entry.value("utc", ""), entry.value("text", ""));
     if (what == GuardLog::kEnded) {
       forget();
+      open = false;
+    } else if (what == GuardLog::kMoves) {
+      moving[entry.value("axis", "")] = entry.value("utc", "");
+    } else if (what == GuardLog::kAtRest) {
+      moving.erase(entry.value("axis", ""));
     } else if (what == GuardLog::kHalted || what == GuardLog::kNotHalted) {
       outcome = text;
     } else if ((what == GuardLog::kDied || what == GuardLog::kHalting) && reason.empty()) {
       reason = text;
     }
   }
-  if (reason.empty() && outcome.empty()) return std::nullopt;
+  if (reason.empty() && outcome.empty()) {
+    // Program and guard were killed together, or the computer stopped. A bench that was at rest needs no
+    // words.
+    if (!open || moving.empty() || is_running_guard(began.value("guard", 0))) return std::nullopt;
+    reason = "Nobody is left who saw its end";
+    for (const auto& [axis, since] : moving)
+      reason += fmt::format("; axis {} was moving since {}", axis, since);
+  }
   return fmt::format("{} did not end in order. {}{}{}", began.value("owner", ""), reason,
                      reason.empty() || outcome.empty() ? "" : "; ", outcome);
 }

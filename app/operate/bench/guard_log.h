@@ -49,8 +49,8 @@ class GuardLog {
 std::filesystem::path state_folder();
 
 /// The end of the latest session in a log that did not end in order, in words for a person: who moved the
-/// bench, and how it was halted. Nothing where the latest one ended in order, still goes on, or there is no
-/// log.
+/// bench, and how it was halted, or that an axis was moving when program and guard ended together. Nothing
+/// where the latest one ended in order, still goes on, or there is no log.
 /// @param owner  only sessions whose owner's words contain this; empty: all
 std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner);
 

@@ -21,7 +21,7 @@ namespace {
 using boost::asio::ip::tcp;
 using Json = nlohmann::ordered_json;
 
-constexpr std::size_t kLongestLine = 64 * 1024;
+constexpr std::size_t kLongestLine = 2 * 1024 * 1024;
 
 Json axis_status(const sim::SimBench& world, StageAxis axis, Clock::Instant now) {
   return {{"commanded_deg", world.commanded_angle(axis, now).deg()},

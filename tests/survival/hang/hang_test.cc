@@ -23,10 +23,12 @@
 #include <utility>
 #include <vector>
 
+#include "app/faces/console/bench_service.h"
 #include "app/operate/bench/halt_guard.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/app/program_fixtures.h"
+#include "tests/console/client.h"
 #include "tests/support/emulator_control.h"
 
 namespace abcal {
@@ -36,6 +38,7 @@ using namespace std::chrono_literals;
 using test::Program;
 using testing::HasSubstr;
 using testing::Not;
+using Json = test::PageClient::Json;
 using SteadyTime = std::chrono::steady_clock::time_point;
 
 /// From the fault, or from the return of the port, until the stop bytes are on the wire.
@@ -52,7 +55,11 @@ enum class Injection {
   kUnplug,         ///< The port is gone for 2 s, in motion.
   kUnplugAndKill,  ///< The port is gone for 2 s, and the program is killed meanwhile.
   kFreezeBoth,     ///< Program and guard stand still for 2 s, as in a frozen container.
-  kBabble,         ///< Killed, and the controller answers with a line of 60 000 bytes first.
+  kBabble,         ///< Killed, and the controller answers with lines of 64 kB for half a second.
+  kLongBabble,     ///< The same with lines of 1 MB.
+  kKillBoth,       ///< Program and guard are killed at once: nothing halts (docs/halting.md).
+  kSecondRun,      ///< Another run on the same bench begins.
+  kStopBench,      ///< SIGSTOP of the process that holds the bench of a console.
 };
 
 std::string name_of(Injection injection) {
@@ -75,6 +82,14 @@ std::string name_of(Injection injection) {
       return "freeze_both";
     case Injection::kBabble:
       return "babble";
+    case Injection::kLongBabble:
+      return "long_babble";
+    case Injection::kKillBoth:
+      return "kill_both";
+    case Injection::kSecondRun:
+      return "second_run";
+    case Injection::kStopBench:
+      return "stop_bench";
   }
   return "";
 }
@@ -114,6 +129,7 @@ class HangTest : public ProgramTest {
       std::string bench = bench_text(*found, *mip, port, x, z, accelerometer);
       bench = replaced(bench, "speed_deg_per_s = 700.0", "speed_deg_per_s = 5.0");
       bench = replaced(bench, "acceleration_deg_per_s2 = 20000.0", "acceleration_deg_per_s2 = 2000.0");
+      bench = replaced(bench, "[bench]\n", "[bench]\nname = \"hang\"\n");
       return replaced(bench, "[protocol]\n", "[protocol]\nreplug_timeout_s = 20.0\n");
     };
     const std::string any = tcp ? "tcp:127.0.0.1:0" : "links/none";
@@ -207,13 +223,18 @@ class HangTest : public ProgramTest {
         from = std::chrono::steady_clock::now();
         break;
       case Injection::kBabble:
+      case Injection::kLongBabble:
         control->ask({{"do", "fault"},
                       {"kind", "replaced-reply"},
                       {"instrument", port_of_x},
-                      {"text", std::string(60'000, 'x')},
+                      {"text", std::string(injection == Injection::kBabble ? 65'536 : 1'048'576, 'x')},
                       {"for_s", 0.5}});
         run->signal(SIGKILL);
         break;
+      case Injection::kKillBoth:
+      case Injection::kSecondRun:
+      case Injection::kStopBench:
+        ADD_FAILURE() << "has a test of its own";
     }
     return from;
   }
@@ -229,6 +250,140 @@ class HangTest : public ProgramTest {
     slowest = std::max(slowest, std::chrono::duration_cast<std::chrono::milliseconds>(last_moving - from));
     std::this_thread::sleep_for(100ms);
     EXPECT_FALSE(control->anything_moves()) << "moves again";
+  }
+
+  /// Nothing halts; the axes end their moves. The next run says how the one before ended.
+  void kill_both(int times) {
+    std::mt19937_64 random(20261126);
+    for (int k = 0; k < times; ++k) {
+      SCOPED_TRACE(k);
+      start_in_motion(random);
+      if (HasFatalFailure()) return;
+      run->signal(SIGSTOP);  // Neither may see the other die.
+      ::kill(guard, SIGKILL);
+      run->signal(SIGKILL);
+      run->wait();
+      EXPECT_TRUE(test::wait_for([&] { return !control->anything_moves(); }, 20s)) << "one step of the plan";
+      start_in_motion(random);
+      if (HasFatalFailure()) return;
+      const std::vector<RunEvent> events = RunFile::load(folder / fmt::format("run-{}.run", runs)).events;
+      EXPECT_TRUE(std::ranges::any_of(events, [](const RunEvent& e) {
+        return e.text.find("did not end in order") != std::string::npos;
+      })) << "the run says nothing of the session before";
+      run->signal(SIGINT);
+      run->wait();
+    }
+  }
+
+  /// The second run is refused with the words of the first one, which goes on.
+  void start_second_run(int times) {
+    std::mt19937_64 random(20261127);
+    start_in_motion(random);
+    if (HasFatalFailure()) return;
+    const std::filesystem::path first = folder / "run-1.run";
+    for (int k = 0; k < times; ++k) {
+      SCOPED_TRACE(k);
+      ASSERT_TRUE(test::wait_for([&] { return control->anything_moves(); }, 20s));
+      Program second({"run", "bench.toml", "-o", "second.run"}, folder.path());
+      EXPECT_NE(second.wait(), 0);
+      EXPECT_THAT(second.err(), HasSubstr(fmt::format("(process {}", run->pid())));
+      EXPECT_FALSE(std::filesystem::exists(folder / "second.run"));
+      const std::size_t before = measured(first);
+      EXPECT_TRUE(test::wait_for([&] { return measured(first) > before; }, 20s)) << "the first run goes on";
+    }
+    EXPECT_TRUE(run->running());
+    run->signal(SIGINT);
+    EXPECT_EQ(run->wait(), 130) << run->err();
+  }
+
+  /// A console and a page that steers it.
+  void start_console() {
+    std::filesystem::create_directories(folder / "runs");
+    server = std::make_unique<Program>(
+        std::vector<std::string>{"serve", "bench.toml", "--runs", "runs", "--port", "0"}, folder.path());
+    std::smatch found;
+    std::string said;
+    ASSERT_TRUE(test::wait_for(
+        [&] {
+          said = server->out();
+          return std::regex_search(said, found, std::regex("http://[^:]*:(\\d+)/"));
+        },
+        20s))
+        << server->err();
+    page = std::make_unique<test::PageClient>(static_cast<std::uint16_t>(std::stoi(found[1])));
+    page->wait_for_type("snapshot");
+    ASSERT_TRUE(page->ok({{"do", "control"}}));
+  }
+
+  /// Whether the page says "Idle", or its Stop is grey, by the messages so far: as page/stop.js decides it.
+  bool page_says_idle() {
+    while (const std::optional<Json> message = page->next(std::chrono::steady_clock::now())) {
+      const Json& m = *message;
+      if (m["type"] == "snapshot") {
+        activity = m["activity"]["activity"];
+        if (m.contains("bench")) bench_state = m["bench"]["state"];
+      } else if (m["type"] == "activity") {
+        activity = m["activity"];
+      } else if (m["type"] == "bench") {
+        bench_state = m["state"];
+      } else if (m["type"] == "guard") {
+        axes = m["axes"];
+      } else if (m["type"] == "dwell_done") {
+        ++dwells;
+      }
+    }
+    const auto restless = [&](const char* axis) {
+      const std::string state = axes.contains(axis) ? axes[axis]["state"].get<std::string>() : "not moved";
+      return state == "may be moving" || state == "unreachable";
+    };
+    return activity == "idle" && bench_state == "on" && !restless("x") && !restless("z");
+  }
+
+  void stop_bench(int times) {
+    start_console();
+    if (HasFatalFailure()) return;
+    const std::string lock =
+        console::default_bench_socket({"bench.toml", folder / "runs", 1.0}).string() + ".lock";
+    std::mt19937_64 random(20261128);
+    std::string file;
+    for (int k = 0; k < times; ++k) {
+      SCOPED_TRACE(k);
+      const Json reply = page->ask(k == 0 ? Json{{"do", "start"}, {"confirmed", true}}
+                                          : Json{{"do", "resume"}, {"run", file}, {"confirmed", true}});
+      ASSERT_TRUE(reply["ok"].get<bool>()) << reply;
+      const int before = dwells;  // The step to the next angle takes 6 s.
+      ASSERT_TRUE(test::wait_for([&] { return !page_says_idle() && dwells > before; }, 150s));
+      const auto delay = std::chrono::milliseconds(300 + random() % 500);
+      ASSERT_TRUE(test::wait_for(
+          [&] {  // Short moves, to the approach of an angle, do not last for it.
+            if (!control->anything_moves()) return false;
+            std::this_thread::sleep_for(delay);
+            return control->anything_moves();
+          },
+          60s));
+      page_says_idle();
+      const pid_t holder = std::stoi(test::read_file(lock));
+      ::kill(holder, SIGSTOP);
+      const auto from = std::chrono::steady_clock::now();
+      bool was_idle = false;
+      while (std::chrono::steady_clock::now() < from + kLimit + kDeceleration) {
+        if (control->anything_moves()) {
+          was_idle = was_idle || page_says_idle();
+          slowest = std::max(slowest, std::chrono::duration_cast<std::chrono::milliseconds>(
+                                          std::chrono::steady_clock::now() - from));
+        }
+        std::this_thread::sleep_for(5ms);
+      }
+      EXPECT_FALSE(was_idle) << "idle, or a grey Stop, in motion";
+      EXPECT_FALSE(control->anything_moves());
+      ::kill(holder, SIGCONT);
+      ASSERT_TRUE(test::wait_for([&] { return page_says_idle(); }, 60s)) << activity << bench_state << axes;
+      EXPECT_FALSE(control->anything_moves());
+      for (const auto& entry : std::filesystem::directory_iterator(folder / "runs"))
+        if (entry.path().extension() == ".run") file = entry.path().filename();
+    }
+    server->signal(SIGINT);
+    server->wait();
   }
 
   void end_run(Injection injection) {
@@ -255,6 +410,14 @@ class HangTest : public ProgramTest {
   void inject_and_expect_rest(const std::string& stage, Injection injection, int times) {
     start_emulator(stage);
     if (HasFatalFailure()) return;
+    if (injection == Injection::kKillBoth) return kill_both(times);
+    if (injection == Injection::kSecondRun) return start_second_run(times);
+    if (injection == Injection::kStopBench) {
+      stop_bench(times);
+      fmt::print("{} {}: {} times, at rest after {} ms at the latest\n", stage, name_of(injection), times,
+                 slowest.count());
+      return;
+    }
     std::mt19937_64 random(20261125 + static_cast<unsigned>(injection));
     for (int k = 0; k < times; ++k) {
       SCOPED_TRACE(k);
@@ -263,7 +426,8 @@ class HangTest : public ProgramTest {
       const SteadyTime from = inject(injection);
       // Longer than the patience of the watchdog, which then also halts: the results of both must agree.
       if (injection == Injection::kStopRun && k == 0) thaw_after = 6s;
-      const auto babble = injection == Injection::kBabble ? 500ms : 0ms;
+      const bool babbles = injection == Injection::kBabble || injection == Injection::kLongBabble;
+      const auto babble = babbles ? 500ms : 0ms;
       if (injection ==
           Injection::kUnplug) {  // The run goes on by itself, but only once the axes were at rest.
         std::this_thread::sleep_until(from);
@@ -281,8 +445,12 @@ class HangTest : public ProgramTest {
                slowest.count());
   }
 
-  std::unique_ptr<Program> emulator, run;
+  std::unique_ptr<Program> emulator, run, server;
   std::unique_ptr<test::EmulatorControlClient> control;
+  std::unique_ptr<test::PageClient> page;
+  std::string activity = "idle", bench_state = "on";  ///< As the messages to the page say.
+  Json axes = Json::object();
+  int dwells = 0;
   std::string port_of_x;
   pid_t guard = -1;
   int runs = 0;
@@ -326,7 +494,9 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Combine(testing::ValuesIn(names_of_stages()),
                      testing::Values(Injection::kStopRun, Injection::kStopThread, Injection::kKillRun,
                                      Injection::kKillGuard, Injection::kStopGuard, Injection::kUnplug,
-                                     Injection::kUnplugAndKill, Injection::kFreezeBoth, Injection::kBabble)),
+                                     Injection::kUnplugAndKill, Injection::kFreezeBoth, Injection::kBabble,
+                                     Injection::kLongBabble, Injection::kKillBoth, Injection::kSecondRun,
+                                     Injection::kStopBench)),
     name_of_case);
 
 /// Stop from another program reaches the guard of a run that hangs, which confirms the rest of each axis.
