@@ -10,6 +10,7 @@
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
+#include "sim/firmware/weiss_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
 #include "sim/firmware/zaber_ascii_firmware.h"
 
@@ -32,6 +33,7 @@ std::vector<std::string> emulated_serial_numbers(const std::string& driver) {
         {"thorlabs_apt", {ThorlabsAptSettings{}.serial_number}},
         {"vectornav", {VectorNavSettings{}.serial_number}},
         {"xsens_mti", {XsensMtiSettings{}.device_id}},
+        {"weiss_simserv", {WeissSettings{}.serial_number}},
         {"zaber_ascii", {zaber.serial_number, zaber.z_serial_number}}};
   }();
   const auto found = all.find(driver);

@@ -36,12 +36,20 @@ std::filesystem::path lease_folder() {
   return {};
 }
 
-/// Letters and digits stay; no resource may name a file elsewhere.
+/// A resource may contain any bytes, because an instrument reports its serial number as free text. Bytes that
+/// a file name or a terminal could take for something else are percent-encoded, so that no resource names a
+/// file elsewhere and two resources have two names. Beyond the length that a file name may have, a name is
+/// cut off: resources that agree so far count as one.
 std::string file_name(const std::string& resource) {
+  constexpr std::string_view kOthers = "._:-";
+  constexpr std::size_t kLongest = 200;  // NAME_MAX is 255.
   std::string name;
-  for (const char c : resource)
-    name += std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' ? c : '_';
-  return name + ".lease";
+  for (const char c : resource) {
+    const auto byte = static_cast<unsigned char>(c);
+    const bool stays = byte < 0x80 && (std::isalnum(byte) != 0 || kOthers.find(c) != std::string_view::npos);
+    name += stays ? std::string(1, c) : fmt::format("%{:02X}", byte);
+  }
+  return name.substr(0, kLongest) + ".lease";
 }
 
 /// Opens the file of a lease, which may belong to another user. @return -1: not possible
@@ -68,7 +76,7 @@ bool lock(int descriptor) {
 }
 
 /// A file of a lease has three lines: the holder in words, its process, its program.
-[[noreturn]] void throw_held(const std::string& resource, int descriptor) {
+[[noreturn]] void throw_held(const std::string& shown, int descriptor) {
   std::array<char, 1000> bytes{};
   const ssize_t count = ::pread(descriptor, bytes.data(), bytes.size(), 0);
   std::istringstream text(std::string(bytes.data(), count > 0 ? static_cast<std::size_t>(count) : 0));
@@ -77,7 +85,7 @@ bool lock(int descriptor) {
   std::getline(text, words);
   std::getline(text, holder.pid);
   std::getline(text, holder.program);
-  throw PortHeld(resource,
+  throw PortHeld(shown,
                  fmt::format("in use by {}; end that first", words.empty() ? "another program" : words),
                  {holder});
 }
@@ -96,9 +104,9 @@ std::string own_words(std::string_view holder) {
                      ::getpid(), program);
 }
 
-}  // namespace
-
-std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view holder) {
+/// @param shown  what the resource is called where it is refused
+std::shared_ptr<Lease> take_as(const std::string& resource, const std::string& shown,
+                               std::string_view holder) {
   static std::mutex mutex;
   static std::map<std::string, std::weak_ptr<Lease>> taken;
   const std::lock_guard lock_taken(mutex);
@@ -107,7 +115,7 @@ std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view
   const int descriptor = folder.empty() ? -1 : open_file(folder / file_name(resource));
   if (descriptor >= 0 && !lock(descriptor)) {
     const Descriptor refused(descriptor);  // Closed as it is: its text belongs to the holder.
-    if (errno == EAGAIN || errno == EACCES) throw_held(resource, descriptor);
+    if (errno == EAGAIN || errno == EACCES) throw_held(shown, descriptor);
     return std::make_shared<Lease>(-1);  // A file system without locks.
   }
   auto lease = std::make_shared<Lease>(descriptor);
@@ -117,6 +125,23 @@ std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view
   }
   taken[resource] = lease;
   return lease;
+}
+
+}  // namespace
+
+std::shared_ptr<Lease> Lease::take(const std::string& resource, std::string_view holder) {
+  return take_as(resource, resource, holder);
+}
+
+std::shared_ptr<Lease> Lease::take_device(const std::string& path, std::string_view holder) {
+  std::error_code error;
+  const std::filesystem::path device = std::filesystem::canonical(path, error);
+  return error ? nullptr : take_as(device.string(), path, holder);
+}
+
+std::string Lease::of_instrument(std::string_view maker, std::string_view model,
+                                 std::string_view serial_number) {
+  return fmt::format("{} {}, serial number {}", maker, model, serial_number);
 }
 
 Lease::~Lease() {

@@ -7,18 +7,28 @@
 namespace abcal::wire {
 
 /// The right of one program of this computer to an instrument, whoever uses it: a file that all users share,
-/// locked as long as this object lives and released by the system when the program dies. A serial port has a
-/// lock of its own; a network address has none, and a second host program would end the exchanges of the
-/// first.
+/// locked as long as this object lives and released by the system when the program dies. The lock of a serial
+/// port names no holder of another user, and a network address has none: a second host program would end the
+/// exchanges of the first.
 class Lease {
  public:
   /// Takes the lease of a resource. Within this program a resource may be taken several times.
-  /// @param resource  a resolved device or address: "tcp:192.168.0.7:50000"
+  /// @param resource  a resolved device or address ("/dev/ttyUSB0", "tcp:192.168.0.7:50000"), or
+  /// of_instrument()
   /// @param holder  who uses it, for the message to others: "abcal run on the bench \"left\""; empty: the
   /// program's name
   /// @throws PortHeld with the words of the holder. A computer without a folder for such files grants every
   /// lease.
   static std::shared_ptr<Lease> take(const std::string& resource, std::string_view holder);
+
+  /// As take(), for the device behind a path, which may be a link to it.
+  /// @return null: the path leads to nothing; opening it tells why
+  static std::shared_ptr<Lease> take_device(const std::string& path, std::string_view holder);
+
+  /// The resource that is an instrument itself, whatever port leads to it, in words.
+  /// @param serial_number  as the instrument reports it; not empty
+  static std::string of_instrument(std::string_view maker, std::string_view model,
+                                   std::string_view serial_number);
 
   explicit Lease(int descriptor) : descriptor_(descriptor) {}
   ~Lease();

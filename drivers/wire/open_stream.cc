@@ -12,10 +12,10 @@ std::unique_ptr<ByteStream> open_stream(std::string_view port, const SerialSetti
   if (name.kind == PortName::Kind::kTcp)
     return std::make_unique<TcpStream>(name.host, name.tcp_port, clock, std::chrono::seconds(5),
                                        kDefaultQueueBytes, holder);
-  if (name.kind == PortName::Kind::kUsbtmc) return std::make_unique<UsbtmcStream>(name.path, clock);
+  if (name.kind == PortName::Kind::kUsbtmc) return std::make_unique<UsbtmcStream>(name.path, clock, holder);
   SerialSettings settings = defaults;
   settings.path = resolve_port(port);
-  return std::make_unique<SerialPort>(settings, clock);
+  return std::make_unique<SerialPort>(settings, clock, kDefaultQueueBytes, holder);
 }
 
 }  // namespace abcal::wire

@@ -17,6 +17,7 @@
 
 #include "drivers/wire/asio_link.h"
 #include "drivers/wire/device_file.h"
+#include "drivers/wire/lease.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal::wire {
@@ -82,8 +83,8 @@ void set(boost::asio::serial_port& port, const Option& option, const std::string
 }  // namespace
 
 struct SerialPort::Impl {
-  Impl(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes)
-      : link(settings.path, clock, queue_bytes) {
+  Impl(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes, const std::string& holder)
+      : lease(Lease::take_device(settings.path, holder)), link(settings.path, clock, queue_bytes) {
     using boost::asio::serial_port;
     const std::string& path = settings.path;
     Descriptor descriptor = open_and_lock(path);
@@ -122,11 +123,13 @@ struct SerialPort::Impl {
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
+  const std::shared_ptr<Lease> lease;  ///< Before the link: released after the port is closed.
   AsioLink<boost::asio::serial_port> link;
 };
 
-SerialPort::SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes)
-    : impl_(std::make_unique<Impl>(settings, clock, queue_bytes)) {}
+SerialPort::SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes,
+                       const std::string& holder)
+    : impl_(std::make_unique<Impl>(settings, clock, queue_bytes, holder)) {}
 
 SerialPort::~SerialPort() = default;
 

@@ -27,14 +27,17 @@ struct SerialSettings {
 /// read; then every call throws kLinkLost.
 class SerialPort final : public ByteStream, public PortDescriptor {
  public:
-  /// Opens, locks (flock; on real ports TIOCEXCL too, which on a pseudo-terminal would outlive a program that
-  /// crashed), sets raw mode and discards bytes waiting in the kernel.
+  /// Takes the lease of the device, opens, locks (flock; on real ports TIOCEXCL too, which on a
+  /// pseudo-terminal would outlive a program that crashed), sets raw mode and discards bytes waiting in the
+  /// kernel.
   /// @param clock Stamps the arrivals, from the background thread; its Instants must be those of
   /// steady_clock.
-  /// @throws InstrumentError kCannotOpen with one sentence: does not exist (lists the existing ones), not
-  /// permitted
+  /// @param holder  who uses it, for other programs that want it (Lease)
+  /// @throws PortHeld: another program uses this device. InstrumentError kCannotOpen with one sentence: does
+  /// not exist (lists the existing ones), not permitted
   ///   (and which group is), held by another program (and which), not a serial port, setting not taken.
-  SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes = kDefaultQueueBytes);
+  SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes = kDefaultQueueBytes,
+             const std::string& holder = {});
   ~SerialPort() override;
 
   void write(std::string_view bytes) override;  ///< Write deadline: 2 s.

@@ -93,6 +93,9 @@ std::size_t TcpStream::dropped_bytes() const {
 int TcpStream::descriptor() const {
   return impl_->link.port().native_handle();
 }
+std::vector<std::shared_ptr<Lease>> TcpStream::leases() const {
+  return impl_->leases;
+}
 std::string TcpStream::name() const {
   return impl_->link.queue().name();
 }

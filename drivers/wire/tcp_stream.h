@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "drivers/wire/byte_stream.h"
 #include "drivers/wire/serial_port.h"
@@ -31,6 +32,7 @@ class TcpStream final : public ByteStream, public PortDescriptor {
   std::size_t dropped_bytes() const override;
   std::string name() const override;  ///< "tcp:HOST:PORT"
   int descriptor() const override;
+  std::vector<std::shared_ptr<Lease>> leases() const override;
 
  private:
   struct Impl;

@@ -17,6 +17,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/device_file.h"
+#include "drivers/wire/lease.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal::wire {
@@ -46,8 +47,9 @@ std::string usbtmc_files_there_are() {
 
 class DeviceFile final : public UsbtmcDevice {
  public:
-  explicit DeviceFile(const std::string& path)
-      : file_(open_device(path, 0, {"a USBTMC instrument", usbtmc_files_there_are})) {
+  DeviceFile(const std::string& path, const std::string& holder)
+      : lease_(Lease::take_device(path, holder)),
+        file_(open_device(path, 0, {"a USBTMC instrument", usbtmc_files_there_are})) {
     // Kernels before 4.20 know no other timeout than their own 5 s.
     std::uint32_t timeout_ms = kExchangeTimeoutMs;
     ::ioctl(file_.get(), USBTMC_IOCTL_SET_TIMEOUT, &timeout_ms);
@@ -76,6 +78,7 @@ class DeviceFile final : public UsbtmcDevice {
   }
 
  private:
+  const std::shared_ptr<Lease> lease_;  ///< Before the file: released after it is closed.
   Descriptor file_;
 };
 
@@ -86,8 +89,8 @@ bool is_passing(long error) {
 
 }  // namespace
 
-UsbtmcStream::UsbtmcStream(const std::string& path, Clock& clock)
-    : UsbtmcStream(std::make_unique<DeviceFile>(path), path, clock) {
+UsbtmcStream::UsbtmcStream(const std::string& path, Clock& clock, const std::string& holder)
+    : UsbtmcStream(std::make_unique<DeviceFile>(path, holder), path, clock) {
   discard_input();  // Waiting bytes were meant for the previous program.
 }
 

@@ -35,11 +35,12 @@ class UsbtmcDevice {
 /// used with a real instrument yet.
 class UsbtmcStream final : public ByteStream {
  public:
-  /// Opens and locks (flock).
+  /// Takes the lease of the device, opens and locks (flock).
+  /// @param holder  who uses it, for other programs that want it (Lease)
   /// @throws InstrumentError kCannotOpen with one sentence: does not exist (lists the existing ones), not
   /// permitted
   ///   (and which group is), held by another program (and which), no USBTMC instrument, no status byte.
-  UsbtmcStream(const std::string& path, Clock& clock);
+  UsbtmcStream(const std::string& path, Clock& clock, const std::string& holder = {});
   /// With an open device.
   UsbtmcStream(std::unique_ptr<UsbtmcDevice> device, std::string name, Clock& clock);
 

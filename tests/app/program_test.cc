@@ -311,6 +311,66 @@ TEST_F(EmulatedBenchTest, APortHeldByAnotherProgramIsSaidSo) {
   EXPECT_THAT(result.err, HasSubstr("another program"));
 }
 
+/// Two ports may lead to one instrument, e.g. its network address and its USB: its serial number shows it.
+class OneInstrumentOnTwoPorts : public EmulatedBenchTest {
+ protected:
+  /// A second emulator whose instruments have the serial numbers of the first one's: the same instruments on
+  /// other ports.
+  void start_both(const std::string& of_stage, const std::string& of_accelerometer) {
+    bench.stage_driver += stated(of_stage);
+    bench.accelerometer_driver += stated(of_accelerometer);
+    start_emulator();
+    BenchText other = bench;
+    other.stage_port = "other/stage";
+    other.accelerometer_port = "other/accelerometer";
+    second = std::make_unique<Program>(
+        std::vector<std::string>{"emulate", write_bench(other, "other.toml"), "--link-dir", "other"},
+        folder.path());
+    ASSERT_TRUE(test::wait_for([&] { return std::filesystem::exists(folder / "other/accelerometer"); }, 20s))
+        << second->err();
+  }
+
+  /// The first run measures; the second one is refused with its words.
+  void expect_refused(const std::string& instrument) {
+    Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
+    ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << run.err();
+    const ProgramResult refused = abcal({"run", "other.toml", "-o", "b.run"});
+    EXPECT_EQ(refused.exit_code, 3) << refused.out;
+    EXPECT_THAT(refused.err, AllOf(HasSubstr(instrument), HasSubstr("in use by"), HasSubstr("a run"),
+                                   HasSubstr("end that first")));
+    run.signal(SIGINT);
+    EXPECT_EQ(run.wait(), 130) << run.err();
+    EXPECT_EQ(abcal({"check", "other.toml"}).exit_code, 0) << "free again";
+  }
+
+  std::unique_ptr<Program> second;
+
+ private:
+  static std::string stated(const std::string& serial_number) {
+    return serial_number.empty() ? "" : "\"\nserial_number = \"" + serial_number;
+  }
+};
+
+TEST_F(OneInstrumentOnTwoPorts, AStageIsRefusedToTheSecondProgram) {
+  start_both(std::to_string(::getpid()), "");
+  expect_refused("serial number " + std::to_string(::getpid()));
+}
+
+TEST_F(OneInstrumentOnTwoPorts, AnAccelerometerIsRefusedToTheSecondProgram) {
+  start_both("", std::to_string(::getpid()));
+  expect_refused("serial number " + std::to_string(::getpid()));
+}
+
+/// Every emulator reports the same serial numbers unless a bench file gives others.
+TEST_F(OneInstrumentOnTwoPorts, EmulatorsAreUsedSideBySide) {
+  start_both("", "");
+  Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
+  ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << run.err();
+  EXPECT_EQ(abcal({"check", "other.toml"}).exit_code, 0);
+  run.signal(SIGINT);
+  run.wait();
+}
+
 TEST_F(EmulatedBenchTest, InstrumentsOnEachOthersPortsAreRecognised) {
   start_emulator();
   BenchText swapped = bench;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <string_view>
-#include <utility>
 
 #include "app/ground/bench_file/instrument_ports.h"
 #include "sim/emulated_serial_numbers.h"
@@ -21,11 +20,10 @@ bool has_simulation(const BenchConfig& bench) {
 /// Whether an instrument reported a serial number that the emulator uses.
 bool reports_simulated_serial_number(const InstrumentIdentity& instrument,
                                      const std::vector<InstrumentPort>& ports) {
-  std::vector<std::string> marks;
-  for (const InstrumentPort& port : ports)
-    for (std::string& mark : sim::emulated_serial_numbers(port.driver)) marks.push_back(std::move(mark));
-  const std::vector<std::string> reported = single_serial_numbers(instrument.serial_number);
-  return std::find_first_of(reported.begin(), reported.end(), marks.begin(), marks.end()) != reported.end();
+  return std::ranges::any_of(single_serial_numbers(instrument.serial_number), [&](const std::string& number) {
+    return std::ranges::any_of(
+        ports, [&](const InstrumentPort& port) { return is_emulated_serial_number(number, port.driver); });
+  });
 }
 
 }  // namespace
@@ -52,6 +50,10 @@ bool is_serial_number_reported(std::string_view reported) {
     if (end == reported.size()) return true;
     begin = end + 1;
   }
+}
+
+bool is_emulated_serial_number(std::string_view number, const std::string& driver) {
+  return std::ranges::count(sim::emulated_serial_numbers(driver), number) > 0;
 }
 
 std::string stated_serial_number_label(const std::string& role) {

@@ -17,6 +17,9 @@ std::vector<std::string> single_serial_numbers(std::string_view reported);
 /// two controllers gave none), and for "12, 0" (IEEE 488.2, 10.14: a voltmeter that has none answers 0).
 bool is_serial_number_reported(std::string_view reported);
 
+/// Whether the emulated instruments of a driver report this single serial number; no real one does.
+bool is_emulated_serial_number(std::string_view number, const std::string& driver);
+
 /// The label of a run with the serial number that the bench file states for an instrument ("stage",
 /// "accelerometer", "item-2") that reports none.
 std::string stated_serial_number_label(const std::string& role);

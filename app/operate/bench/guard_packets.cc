@@ -109,6 +109,18 @@ PortRequest port_request_from(const Json& json) {
   return request;
 }
 
+Json to_json(const LeaseRequest& request) {
+  return {{"kind", to_guard::kLease},
+          {"name", request.name},
+          {"resources", request.resources},
+          {"holder", request.holder}};
+}
+
+LeaseRequest lease_request_from(const Json& json) {
+  return {json.at("name").get<std::string>(), json.at("resources").get<std::vector<std::string>>(),
+          json.at("holder").get<std::string>()};
+}
+
 Json to_json(const OwnerBeat& beat) {
   return {{"kind", to_guard::kBeat},
           {"x", beat.may_move[0]},

@@ -21,6 +21,7 @@ namespace to_guard {
 inline constexpr const char* kOwner = "owner";      ///< The first: who moves the bench, and where the log is.
 inline constexpr const char* kOpen = "open";        ///< Opens a port (PortRequest).
 inline constexpr const char* kRecipes = "recipes";  ///< How to halt what is on a port.
+inline constexpr const char* kLease = "lease";      ///< Which instrument is behind a port (LeaseRequest).
 inline constexpr const char* kBeat = "beat";        ///< The moving thread is alive (OwnerBeat).
 inline constexpr const char* kHalt = "halt";        ///< Halts all axes until that is confirmed.
 inline constexpr const char* kEnd = "end";          ///< The owner ends in order; all is at rest.
@@ -29,7 +30,8 @@ inline constexpr const char* kEnd = "end";          ///< The owner ends in order
 /// Kinds of packets to the owner.
 namespace to_owner {
 inline constexpr const char* kOpened = "opened";  ///< With two descriptors: the socket, and the port itself.
-inline constexpr const char* kFailed = "failed";  ///< The port could not be opened.
+inline constexpr const char* kLeased = "leased";  ///< The leases of an instrument are taken.
+inline constexpr const char* kFailed = "failed";  ///< The port could not be opened, or a lease is held.
 inline constexpr const char* kTaken = "taken";    ///< The recipes of a port are taken over.
 inline constexpr const char* kBeat = "beat";      ///< The guard is alive.
 inline constexpr const char* kHalting = "halting";  ///< The guard has begun to halt, and why.
@@ -71,6 +73,15 @@ struct PortRequest {
 };
 nlohmann::json to_json(const PortRequest& request);
 PortRequest port_request_from(const nlohmann::json& json);
+
+/// The leases (wire::Lease) of the instrument behind a port, which the guard holds until its end.
+struct LeaseRequest {
+  std::string name;                    ///< InstrumentPort::name.
+  std::vector<std::string> resources;  ///< By resources_of_instrument().
+  std::string holder;                  ///< As for PortRequest.
+};
+nlohmann::json to_json(const LeaseRequest& request);
+LeaseRequest lease_request_from(const nlohmann::json& json);
 
 /// A beat of the thread that moves the bench.
 struct OwnerBeat {

@@ -211,6 +211,8 @@ void GuardService::handle(GuardPacket packet) {
     PortRequest request = port_request_from(json);
     GuardedConnection& wanted = connection(request.name);
     wanted.open(std::move(request));
+  } else if (kind == to_guard::kLease) {
+    take_leases(lease_request_from(json));
   } else if (kind == to_guard::kRecipes) {
     const std::string name = json.at("name").get<std::string>();
     std::vector<HaltRecipe> recipes;
@@ -227,6 +229,28 @@ void GuardService::handle(GuardPacket packet) {
       log(GuardLog::kDied, owner_ + " has ended before the halt was confirmed");
     }
   }
+}
+
+void GuardService::take_leases(const LeaseRequest& request) {
+  try {
+    for (const std::string& resource : request.resources)
+      leases_[resource] = wire::Lease::take(resource, request.holder);
+    send({{"kind", to_owner::kLeased}, {"name", request.name}});
+  } catch (const wire::PortHeld& error) {
+    report_failure(request.name, error);
+  }
+}
+
+void GuardService::report_failure(const std::string& name, const std::exception& why) {
+  Json json = {{"kind", to_owner::kFailed}, {"name", name}, {"detail", why.what()}};
+  if (const auto* error = dynamic_cast<const InstrumentError*>(&why)) {
+    json["instrument"] = error->instrument();
+    json["fault"] = static_cast<int>(error->fault());
+    json["detail"] = error->detail();
+  }
+  if (const auto* held = dynamic_cast<const wire::PortHeld*>(&why))
+    json["held_by_guard"] = held->is_held_by("abcal-guard");
+  send(json);
 }
 
 void GuardService::handle_beat(const OwnerBeat& beat) {
@@ -260,17 +284,7 @@ GuardedConnection& GuardService::connection(const std::string& name) {
     send({{"kind", to_owner::kOpened}, {"name", name}, {"port", port_name}}, descriptors);
     for (const int descriptor : descriptors) ::close(descriptor);
   };
-  listener.failed = [this, name](const std::exception& why) {
-    Json json = {{"kind", to_owner::kFailed}, {"name", name}, {"detail", why.what()}};
-    if (const auto* error = dynamic_cast<const InstrumentError*>(&why)) {
-      json["instrument"] = error->instrument();
-      json["fault"] = static_cast<int>(error->fault());
-      json["detail"] = error->detail();
-    }
-    if (const auto* held = dynamic_cast<const wire::PortHeld*>(&why))
-      json["held_by_guard"] = held->is_held_by("abcal-guard");
-    send(json);
-  };
+  listener.failed = [this, name](const std::exception& why) { report_failure(name, why); };
   // `found` stands in a node of the map, which does not move, and is set before the first port is opened.
   listener.lost = [this, name, &found](const std::string& why) {
     const GuardedConnection::Status status = found->status();

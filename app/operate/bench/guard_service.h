@@ -17,6 +17,7 @@
 #include "app/operate/bench/guarded_connection.h"
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/rotation_stage.h"
+#include "drivers/wire/lease.h"
 
 namespace abcal {
 
@@ -60,6 +61,8 @@ class GuardService {
   void receive_from_owner();
   void handle(GuardPacket packet);
   void handle_beat(const OwnerBeat& beat);
+  void take_leases(const LeaseRequest& request);
+  void report_failure(const std::string& name, const std::exception& why);
   void check_time();
   void check_beat();
   void halt(const std::string& why, bool chambers);
@@ -92,6 +95,7 @@ class GuardService {
   std::filesystem::path listening_at_;
   int listener_ = -1;
   std::set<int> clients_;
+  std::map<std::string, std::shared_ptr<wire::Lease>> leases_;             ///< Until the end of this object.
   std::map<std::string, std::unique_ptr<GuardedConnection>> connections_;  ///< By PortRequest::name.
 };
 

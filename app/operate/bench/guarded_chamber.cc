@@ -2,7 +2,15 @@
 
 #include <vector>
 
+#include "app/operate/bench/instrument_leases.h"
+
 namespace abcal {
+
+ChamberInfo GuardedChamber::identify() {
+  ChamberInfo info = chamber_->identify();
+  guard_->lease(port_, resources_of_instrument(driver_, info.maker, info.model, info.serial_number));
+  return info;
+}
 
 void GuardedChamber::set_temperature(double degc, std::optional<double> rate_k_per_min) {
   if (!is_held_) {

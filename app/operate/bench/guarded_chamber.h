@@ -11,15 +11,21 @@
 namespace abcal {
 
 /// A chamber on a port that a guard has opened. Before its first set point the guard learns how to leave it
-/// as its policy says, if this program dies or gives no sign of life for a minute.
+/// as its policy says, if this program dies or gives no sign of life for a minute. The guard holds the lease
+/// of the chamber once that has identified itself.
 class GuardedChamber final : public ThermalChamber {
  public:
   /// @param port  InstrumentPort::name
+  /// @param driver  InstrumentPort::driver
   GuardedChamber(std::unique_ptr<ThermalChamber> chamber, std::shared_ptr<HaltGuard> guard, std::string port,
-                 ChamberPolicy policy)
-      : chamber_(std::move(chamber)), guard_(std::move(guard)), port_(std::move(port)), policy_(policy) {}
+                 std::string driver, ChamberPolicy policy)
+      : chamber_(std::move(chamber)),
+        guard_(std::move(guard)),
+        port_(std::move(port)),
+        driver_(std::move(driver)),
+        policy_(policy) {}
 
-  ChamberInfo identify() override { return chamber_->identify(); }
+  ChamberInfo identify() override;
   void set_temperature(double degc, std::optional<double> rate_k_per_min) override;
   void run() override { chamber_->run(); }
   void stop() override { chamber_->stop(); }
@@ -32,7 +38,7 @@ class GuardedChamber final : public ThermalChamber {
  private:
   std::unique_ptr<ThermalChamber> chamber_;
   std::shared_ptr<HaltGuard> guard_;
-  const std::string port_;
+  const std::string port_, driver_;
   ChamberPolicy policy_;
   bool is_held_ = false;  ///< The guard has the recipe.
 };

@@ -169,6 +169,7 @@ void GuardedConnection::serve(const PortRequest& request) {
     {
       const std::lock_guard lock(mutex_);
       stream_ = std::move(stream);
+      leases_ = port == nullptr ? std::vector<std::shared_ptr<wire::Lease>>{} : port->leases();
       owner_ = ends[0];
     }
     usb_ = usb_device_of(name);

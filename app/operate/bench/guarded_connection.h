@@ -15,6 +15,7 @@
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/halt.h"
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/lease.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal {
@@ -95,7 +96,10 @@ class GuardedConnection {
   std::optional<wire::PortInfo> usb_;  ///< The USB device of the port, to find it again.
   std::vector<HaltRecipe> recipes_;
   std::shared_ptr<wire::ByteStream> stream_;  ///< Null: the port is not open.
-  int owner_ = -1;                            ///< The guard's end of the owner's socket; -1: none.
+  /// Leases of the stream that was open last, so that no other program takes the address of an instrument
+  /// that is still to be halted.
+  std::vector<std::shared_ptr<wire::Lease>> leases_;
+  int owner_ = -1;  ///< The guard's end of the owner's socket; -1: none.
   Status status_;
   bool is_reported_ = false;  ///< The result of the halt under way.
   Clock::Instant next_attempt_;

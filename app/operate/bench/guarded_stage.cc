@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "app/ground/system/real_clock.h"
+#include "app/operate/bench/instrument_leases.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
@@ -46,7 +47,9 @@ void GuardedStage::prepare() {
 }
 
 StageInfo GuardedStage::identify() {
-  return guarded([&] { return stage_->identify(); });
+  StageInfo info = guarded([&] { return stage_->identify(); });
+  guard_->lease(port_, resources_of_instrument(driver_, info.maker, info.model, info.serial_number));
+  return info;
 }
 
 void GuardedStage::home(StageAxis axis) {

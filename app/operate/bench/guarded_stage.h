@@ -16,13 +16,18 @@ namespace abcal {
 inline constexpr std::string_view kGuardEvent = "guard";
 
 /// A stage on one port that a guard has opened. The guard knows how to halt it before it moves, and which
-/// axis may be moving. After a halt by the guard each call throws kStalled with its reason: a person
-/// continues.
+/// axis may be moving; it holds the leases of the stage once that has identified itself. After a halt by the
+/// guard each call throws kStalled with its reason: a person continues.
 class GuardedStage final : public RotationStage {
  public:
   /// @param port  InstrumentPort::name
-  GuardedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<HaltGuard> guard, std::string port)
-      : stage_(std::move(stage)), guard_(std::move(guard)), port_(std::move(port)) {}
+  /// @param driver  InstrumentPort::driver
+  GuardedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<HaltGuard> guard, std::string port,
+               std::string driver)
+      : stage_(std::move(stage)),
+        guard_(std::move(guard)),
+        port_(std::move(port)),
+        driver_(std::move(driver)) {}
 
   StageInfo identify() override;
   void home(StageAxis axis) override;
@@ -42,7 +47,7 @@ class GuardedStage final : public RotationStage {
 
   std::unique_ptr<RotationStage> stage_;
   std::shared_ptr<HaltGuard> guard_;
-  const std::string port_;
+  const std::string port_, driver_;
   bool is_held_ = false;        ///< The guard has the recipes.
   std::array<bool, 2> axes_{};  ///< Axes behind the port, by index(StageAxis).
   std::vector<StageEvent> events_;

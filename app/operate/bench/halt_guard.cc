@@ -51,6 +51,21 @@ void prefer_as_victim() {
   std::ofstream("/proc/self/oom_score_adj") << 500;
 }
 
+/// Throws what the guard could not do.
+/// @param who  the port or the instrument
+[[noreturn]] void throw_failure(const nlohmann::json& answer, const std::string& who) {
+  if (answer.empty()) throw InstrumentError(who, Fault::kCannotOpen, kGone);
+  const std::string detail = answer.at("detail").get<std::string>();
+  if (!answer.contains("fault")) throw std::invalid_argument(detail);
+  if (const auto held = answer.find("held_by_guard"); held != answer.end()) {
+    std::vector<wire::PortHolder> holders;
+    if (held->get<bool>()) holders.push_back({"", "abcal-guard"});
+    throw wire::PortHeld(who, detail, std::move(holders));
+  }
+  throw InstrumentError(answer.value("instrument", who), static_cast<Fault>(answer.at("fault").get<int>()),
+                        detail);
+}
+
 }  // namespace
 
 std::filesystem::path guard_folder() {
@@ -182,39 +197,47 @@ std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const
                                                   const wire::SerialSettings& settings) {
   const std::lock_guard starting(start_mutex_);
   if (!is_alive()) start();
-  const auto opening = std::make_shared<std::promise<GuardPacket>>();
-  std::future<GuardPacket> answered = opening->get_future();
   {
     const std::lock_guard lock(mutex_);
-    openings_[name] = opening;
     if (const auto old = duplicates_.find(name); old != duplicates_.end()) {
       ::close(old->second);  // It would keep the port locked.
       duplicates_.erase(old);
     }
     halted_because_.clear();
-    if (!send_guard_packet(socket_, to_json(PortRequest{name, port, settings, owner_})))
-      throw InstrumentError(port, Fault::kCannotOpen, kGone);
   }
-  if (answered.wait_for(kOpenTime) != std::future_status::ready)
-    throw InstrumentError(port, Fault::kCannotOpen, "its guard does not answer");
-  const GuardPacket answer = answered.get();
-  if (answer.json.value("kind", "") != to_owner::kOpened) {
-    const std::string detail = answer.json.value("detail", kGone);
-    if (!answer.json.contains("fault")) throw std::invalid_argument(detail);
-    if (const auto held = answer.json.find("held_by_guard"); held != answer.json.end()) {
-      std::vector<wire::PortHolder> holders;
-      if (held->get<bool>()) holders.push_back({"", "abcal-guard"});
-      throw wire::PortHeld(port, detail, std::move(holders));
-    }
-    throw InstrumentError(answer.json.value("instrument", port),
-                          static_cast<Fault>(answer.json.at("fault").get<int>()), detail);
-  }
-  if (answer.descriptors.size() > 1) {
+  const auto answer = answer_to(name, to_json(PortRequest{name, port, settings, owner_}), kOpenTime);
+  if (!answer) throw InstrumentError(port, Fault::kCannotOpen, "its guard does not answer");
+  if (answer->json.value("kind", "") != to_owner::kOpened) throw_failure(answer->json, port);
+  if (answer->descriptors.size() > 1) {
     const std::lock_guard lock(mutex_);
-    duplicates_[name] = answer.descriptors[1];
+    duplicates_[name] = answer->descriptors[1];
   }
-  return std::make_unique<wire::SocketStream>(answer.descriptors.at(0),
-                                              answer.json.at("port").get<std::string>(), clock_);
+  return std::make_unique<wire::SocketStream>(answer->descriptors.at(0),
+                                              answer->json.at("port").get<std::string>(), clock_);
+}
+
+void HaltGuard::lease(const std::string& name, std::vector<std::string> resources) {
+  if (resources.empty()) return;
+  const std::lock_guard starting(start_mutex_);
+  const auto answer = answer_to(name, to_json(LeaseRequest{name, std::move(resources), owner_}), kAnswerTime);
+  if (!answer || answer->json.empty()) throw InstrumentError(name, Fault::kLinkLost, kGone);
+  if (answer->json.value("kind", "") != to_owner::kLeased)
+    throw_failure(answer->json, answer->json.value("instrument", name));
+}
+
+/// Asks for something about a port. An answer without members: the guard has ended.
+/// @return nothing: it does not answer in time
+std::optional<GuardPacket> HaltGuard::answer_to(const std::string& name, const Json& question,
+                                                std::chrono::seconds longest) {
+  const auto promise = std::make_shared<std::promise<GuardPacket>>();
+  std::future<GuardPacket> answered = promise->get_future();
+  {
+    const std::lock_guard lock(mutex_);
+    if (!alive_ || !send_guard_packet(socket_, question)) return GuardPacket{};
+    asked_[name] = promise;
+  }
+  if (answered.wait_for(longest) != std::future_status::ready) return std::nullopt;
+  return answered.get();
 }
 
 void HaltGuard::hold(const std::string& name, std::vector<HaltRecipe> recipes) {
@@ -380,7 +403,7 @@ void HaltGuard::note_silence(const std::string& why) {
     alive_ = false;
     moves = (beat_.may_move[0] || beat_.may_move[1]) && halted_because_.empty();
     if (moves) halted_because_ = why + " while an axis was moving; this program halts the axes itself";
-    for (const auto& [name, opening] : std::exchange(openings_, {})) opening->set_value({});
+    for (const auto& [name, opening] : std::exchange(asked_, {})) opening->set_value({});
   }
   changed_.notify_all();
   // One that hangs must not write to the ports again: from here on this program does.
@@ -395,11 +418,11 @@ void HaltGuard::receive(GuardPacket packet) {
   {
     const std::lock_guard lock(mutex_);
     heard_ = clock_.now();
-    if (kind == to_owner::kOpened || kind == to_owner::kFailed) {
-      const auto found = openings_.find(packet.json.value("name", ""));
-      if (found != openings_.end()) {
+    if (kind == to_owner::kOpened || kind == to_owner::kLeased || kind == to_owner::kFailed) {
+      const auto found = asked_.find(packet.json.value("name", ""));
+      if (found != asked_.end()) {
         found->second->set_value(std::move(packet));
-        openings_.erase(found);
+        asked_.erase(found);
       }
     } else if (kind == to_owner::kTaken) {
       ++recipes_taken_;

@@ -52,6 +52,12 @@ class HaltGuard {
   std::unique_ptr<wire::ByteStream> open(const std::string& name, const std::string& port,
                                          const wire::SerialSettings& settings);
 
+  /// Has the guard take the leases of the instrument behind a port; it holds them until it ends, which is
+  /// after all axes are at rest.
+  /// @param resources  by resources_of_instrument(); none: nothing is done
+  /// @throws wire::PortHeld with the words of the holder; InstrumentError kLinkLost: there is no guard
+  void lease(const std::string& name, std::vector<std::string> resources);
+
   /// Tells the guard how to halt what is on a port, before it moves.
   /// @throws InstrumentError kLinkLost: there is no guard, and nothing may move
   void hold(const std::string& name, std::vector<HaltRecipe> recipes);
@@ -88,6 +94,8 @@ class HaltGuard {
 
   void start();
   void end();
+  std::optional<GuardPacket> answer_to(const std::string& name, const Json& question,
+                                       std::chrono::seconds longest);
   void watch(const std::stop_token& stop);
   void receive(GuardPacket packet);
   void note_silence(const std::string& why);
@@ -109,8 +117,8 @@ class HaltGuard {
   Clock::Instant heard_, beat_sent_;
   OwnerBeat beat_;
   std::optional<std::thread::id> moving_thread_;
-  std::map<std::string, std::shared_ptr<std::promise<GuardPacket>>>
-      openings_;                           ///< That the guard has not answered yet.
+  /// Requests for a port, by its name, that the guard has not answered yet: at most one for each port.
+  std::map<std::string, std::shared_ptr<std::promise<GuardPacket>>> asked_;
   std::map<std::string, int> duplicates_;  ///< Descriptors of open ports, by name.
   std::map<std::string, std::vector<HaltRecipe>> recipes_;
   int recipes_taken_ = 0;

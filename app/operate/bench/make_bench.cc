@@ -20,6 +20,7 @@
 #include "app/operate/bench/fault_schedule.h"
 #include "app/operate/bench/guarded_chamber.h"
 #include "app/operate/bench/guarded_stage.h"
+#include "app/operate/bench/instrument_leases.h"
 #include "app/operate/bench/make_firmware.h"
 #include "app/operate/bench/stage_watchdog.h"
 #include "drivers/instrument/instrument_error.h"
@@ -193,7 +194,8 @@ class Opener {
       if (driver.connections == 0) continue;  // abcal has no stream to halt it by.
       const std::lock_guard lock(halt_mutex_);
       if (opened_.at(port.name).port != nullptr) {
-        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name);
+        parts.back() =
+            std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name, port.driver);
         has_guarded_ports_ = true;
       } else {
         halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
@@ -245,11 +247,15 @@ class Opener {
     }
     const AccelerometerDriver& driver = find_driver(accelerometer_drivers(), config.driver);
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    bool is_real = false;
     if (driver.ports > 0) {
-      for (const InstrumentPort& port : accelerometer_ports(config_, item))
+      for (const InstrumentPort& port : accelerometer_ports(config_, item)) {
         streams.push_back(open(port, driver.serial));
+        is_real = is_real || opened_.at(port.name).port != nullptr;
+      }
     }
-    return driver.make(std::move(streams), clock_, accelerometer_settings(config));
+    auto made = driver.make(std::move(streams), clock_, accelerometer_settings(config));
+    return is_real ? leased_accelerometer(std::move(made), driver.name, guard_->owner()) : std::move(made);
   }
 
   std::unique_ptr<ThermalChamber> chamber() {
@@ -263,7 +269,7 @@ class Opener {
     auto chamber = driver.make(std::move(streams), clock_, chamber_settings(config_.chamber));
     for (const InstrumentPort& port : chamber_ports(config_.chamber))
       if (opened_.at(port.name).port != nullptr)
-        chamber = std::make_unique<GuardedChamber>(std::move(chamber), guard_, port.name,
+        chamber = std::make_unique<GuardedChamber>(std::move(chamber), guard_, port.name, port.driver,
                                                    config_.temperature.policy());
     return chamber;
   }
