@@ -99,9 +99,10 @@ std::string own_words(std::string_view holder) {
   ::strftime(since.data(), since.size(), "%Y-%m-%dT%H:%M:%SZ", &utc);
   std::string program;
   std::getline(std::ifstream("/proc/self/comm"), program);
-  return fmt::format("{} (process {} of {}) since {}\n{}\n{}\n", holder.empty() ? program : holder,
-                     ::getpid(), user != nullptr ? user->pw_name : std::to_string(::geteuid()), since.data(),
-                     ::getpid(), program);
+  return fmt::format(
+      "{} of the user {} since {}\n{}\n{}\n",
+      holder.empty() ? fmt::format("{} (process {})", program, ::getpid()) : std::string(holder),
+      user != nullptr ? user->pw_name : std::to_string(::geteuid()), since.data(), ::getpid(), program);
 }
 
 /// @param shown  what the resource is called where it is refused

@@ -15,8 +15,8 @@ class Lease {
   /// Takes the lease of a resource. Within this program a resource may be taken several times.
   /// @param resource  a resolved device or address ("/dev/ttyUSB0", "tcp:192.168.0.7:50000"), or
   /// of_instrument()
-  /// @param holder  who uses it, for the message to others: "abcal run on the bench \"left\""; empty: the
-  /// program's name
+  /// @param holder  who uses it, for the message to others: "a run on the bench \"left\" (process 4711)";
+  /// empty: the program's name and process
   /// @throws PortHeld with the words of the holder. A computer without a folder for such files grants every
   /// lease.
   static std::shared_ptr<Lease> take(const std::string& resource, std::string_view holder);

@@ -22,6 +22,8 @@ class PortHeld final : public InstrumentError {
     return std::ranges::count(holders_, program, &PortHolder::program) > 0;
   }
 
+  const std::vector<PortHolder>& holders() const { return holders_; }
+
  private:
   std::vector<PortHolder> holders_;
 };

@@ -11,6 +11,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <fstream>
+#include <sstream>
 #include <utility>
 
 #include "app/ground/system/output.h"
@@ -28,6 +30,31 @@ constexpr int kTickMs = 20;
 /// The guard itself stood still for this time: nobody watched.
 constexpr Clock::Duration kFrozen = 1s;
 constexpr int kMostClients = 8;
+
+/// The parent of a process: whoever started it, and once that is dead, a process of the system. 0: unknown.
+pid_t parent_of(const std::string& process) {
+  std::ifstream file(fmt::format("/proc/{}/stat", process));
+  std::string text;
+  std::getline(file, text);
+  const std::size_t name_end = text.rfind(") ");
+  pid_t parent = 0;
+  if (name_end != std::string::npos) std::istringstream(text.substr(name_end + 4)) >> parent;
+  return parent;
+}
+
+/// Whether a guard whose program has died holds a port: it lets go of it once the axes are at rest. The
+/// socket of a guard (HaltGuard) is named after the program that started it.
+/// @param folder  of these sockets
+bool is_held_after_death(const wire::PortHeld& held, const std::filesystem::path& folder) {
+  return std::ranges::any_of(held.holders(), [&](const wire::PortHolder& holder) {
+    if (holder.program != "abcal-guard") return false;
+    const std::string socket = fmt::format("abcal-guard-{}-", parent_of(holder.pid));
+    std::error_code error;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, error))
+      if (entry.path().filename().string().starts_with(socket)) return false;
+    return true;
+  });
+}
 
 }  // namespace
 
@@ -249,7 +276,7 @@ void GuardService::report_failure(const std::string& name, const std::exception&
     json["detail"] = error->detail();
   }
   if (const auto* held = dynamic_cast<const wire::PortHeld*>(&why))
-    json["held_by_guard"] = held->is_held_by("abcal-guard");
+    json["held_by_guard"] = is_held_after_death(*held, listening_at_.parent_path());
   send(json);
 }
 

@@ -112,7 +112,7 @@ std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& questi
 HaltGuard::HaltGuard(const std::string& who, const std::string& bench)
     : has_name_(!bench.empty()),
       bench_(bench.empty() ? "on a bench without a name" : fmt::format("on the bench \"{}\"", bench)),
-      owner_(who + " " + bench_) {}
+      owner_(fmt::format("{} {} (process {})", who, bench_, ::getpid())) {}
 
 HaltGuard::~HaltGuard() {
   end();
@@ -164,7 +164,7 @@ void HaltGuard::start() {
   const std::string path =
       folder.empty() ? "" : (folder / fmt::format("abcal-guard-{}-{}", ::getpid(), ++started)).string();
   const Json introduction = {{"kind", to_guard::kOwner},
-                             {"words", fmt::format("{} (process {})", owner_, ::getpid())},
+                             {"words", owner_},
                              {"log", log.empty() ? "" : (log / "motion.log").string()},
                              {"listen", path}};
   if (!send_guard_packet(socket_, introduction)) throw std::runtime_error("the guard does not answer");

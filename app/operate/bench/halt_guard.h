@@ -83,7 +83,7 @@ class HaltGuard {
   /// @param longest_wait  for news of it, after a port was closed by the guard
   std::string halted_because(Clock::Duration longest_wait = {}) const;
 
-  /// Who moves which bench, in words.
+  /// Who moves which bench, in words: "a run on the bench \"left\" (process 4711)".
   const std::string& owner() const { return owner_; }
   /// The end of the session before on this bench, if it did not end in order, in words; empty otherwise.
   std::string last_incident() const;
