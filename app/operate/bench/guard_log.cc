@@ -27,7 +27,14 @@ void append(const std::filesystem::path& file, const std::string& text) {
   const int descriptor = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
   if (descriptor < 0) return;  // A log that cannot be written must not keep a stage from being halted.
   // One write a batch: several guards append to the same file.
-  if (::write(descriptor, text.data(), text.size()) >= 0) ::fdatasync(descriptor);
+  (void)!::write(descriptor, text.data(), text.size());
+  ::close(descriptor);
+}
+
+void synchronise(const std::filesystem::path& file) {
+  const int descriptor = ::open(file.c_str(), O_WRONLY | O_CLOEXEC);
+  if (descriptor < 0) return;
+  ::fdatasync(descriptor);
   ::close(descriptor);
 }
 
@@ -38,7 +45,9 @@ GuardLog::~GuardLog() = default;
 void GuardLog::open(std::filesystem::path file) {
   const std::lock_guard lock(mutex_);
   file_ = std::move(file);
-  if (!writer_.joinable()) writer_ = std::jthread([this](const std::stop_token& end) { write(end); });
+  if (writer_.joinable()) return;
+  syncer_ = std::jthread([this](const std::stop_token& end) { sync(end); });
+  writer_ = std::jthread([this](const std::stop_token& end) { write(end); });
 }
 
 void GuardLog::add(std::string_view what, Clock::UtcTime utc, Json json) {
@@ -62,6 +71,20 @@ void GuardLog::write(const std::stop_token& end) {
     const std::filesystem::path file = file_;
     lock.unlock();
     append(file, text);
+    lock.lock();
+    is_unsynced_ = true;
+    changed_.notify_all();
+  }
+}
+
+void GuardLog::sync(const std::stop_token& end) {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    changed_.wait(lock, end, [this] { return is_unsynced_; });
+    if (!std::exchange(is_unsynced_, false)) return;
+    const std::filesystem::path file = file_;
+    lock.unlock();
+    synchronise(file);
     lock.lock();
   }
 }

@@ -15,7 +15,8 @@
 namespace abcal {
 
 /// The log of the guards of a user: one JSON object a line, which says who moved what and when, what was
-/// halted, and which program died. A thread of its own writes, so that a disk that hangs delays no halt.
+/// halted, and which program died. A thread of its own writes, so that a disk that hangs delays no halt;
+/// another waits for the disk, so that an entry outlives this process as soon as it is written.
 class GuardLog {
  public:
   /// Kinds of entries, as the member "what".
@@ -36,12 +37,15 @@ class GuardLog {
 
  private:
   void write(const std::stop_token& end);
+  void sync(const std::stop_token& end);
 
   std::mutex mutex_;
   std::condition_variable_any changed_;
   std::filesystem::path file_;
   std::deque<std::string> lines_;
-  std::jthread writer_;  ///< Last: it ends before the members that it uses.
+  bool is_unsynced_ = false;  ///< Lines were written that may not be on the disk yet.
+  std::jthread syncer_;       ///< Ends after the writer.
+  std::jthread writer_;       ///< Last: it ends before the members that it uses.
 };
 
 /// Folder for the logs of this user: STATE_DIRECTORY of a service, otherwise XDG_STATE_HOME/abcal or

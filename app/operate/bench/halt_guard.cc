@@ -330,6 +330,10 @@ HaltReport HaltGuard::halt(const std::string& why) noexcept {
 
 /// In place of a guard that is dead or hangs.
 HaltReport HaltGuard::halt_by_duplicates() {
+  // One at a time: two readers of a port would take each other's replies. Who has waited has the same result.
+  const Clock::Instant asked = clock_.now();
+  const std::lock_guard alone(duplicates_mutex_);
+  if (halted_by_duplicates_at_ && *halted_by_duplicates_at_ >= asked) return last_halt_by_duplicates_;
   std::map<std::string, int> descriptors;
   std::map<std::string, std::vector<HaltRecipe>> recipes;
   {
@@ -352,6 +356,8 @@ HaltReport HaltGuard::halt_by_duplicates() {
   const std::lock_guard lock(mutex_);
   for (std::size_t k = 0; k < 2; ++k)
     if (report.axes[k] == AxisHalt::kHalted) beat_.may_move[k] = false;
+  halted_by_duplicates_at_ = clock_.now();
+  last_halt_by_duplicates_ = report;
   return report;
 }
 
@@ -365,7 +371,14 @@ std::string HaltGuard::halted_because(Clock::Duration longest_wait) const {
 
 void HaltGuard::watch(const std::stop_token& stop) {
   constexpr int kTickMs = 50;
+  Clock::Instant last_tick = clock_.now();
   while (!stop.stop_requested()) {
+    // This program stood still itself: the guard may have, too, and has its whole time from now on.
+    const Clock::Instant tick = clock_.now();
+    if (tick - std::exchange(last_tick, tick) > kSilent / 2) {
+      const std::lock_guard lock(mutex_);
+      heard_ = tick;
+    }
     std::array<pollfd, 2> waiting{pollfd{.fd = socket_, .events = POLLIN, .revents = 0},
                                   pollfd{.fd = pidfd_, .events = POLLIN, .revents = 0}};
     ::poll(waiting.data(), waiting.size(), kTickMs);

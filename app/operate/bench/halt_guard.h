@@ -125,8 +125,11 @@ class HaltGuard {
   std::string halted_because_;
   std::string incident_;
   std::array<std::optional<bool>, 2> confirmed_{};  ///< Result of the halt under way, by index(StageAxis).
-  std::mutex start_mutex_;                          ///< Held while a guard is started or a port is opened.
-  std::jthread watcher_;                            ///< Last: it ends before the members that it uses.
+  std::mutex duplicates_mutex_;  ///< Held during halt_by_duplicates(); guards the next two.
+  std::optional<Clock::Instant> halted_by_duplicates_at_;
+  HaltReport last_halt_by_duplicates_;
+  std::mutex start_mutex_;  ///< Held while a guard is started or a port is opened.
+  std::jthread watcher_;    ///< Last: it ends before the members that it uses.
 };
 
 /// Folder for the sockets of running guards: XDG_RUNTIME_DIR, or a folder of this user in the temporary one.
