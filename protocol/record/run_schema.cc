@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <cstdlib>
 #include <fstream>
 #include <string_view>
 #include <system_error>
@@ -140,13 +141,31 @@ SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, Sqlite
   return database;
 }
 
-SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+namespace {
+
+/// Whether SQLite's check of a file reports that a page could not be read: "... error code=266".
+bool tells_of_disk(const std::string& verdict) {
+  constexpr std::string_view kCode = "error code=";
+  const std::size_t at = verdict.find(kCode);
+  return at != std::string::npos && (std::atoi(verdict.c_str() + at + kCode.size()) & 0xFF) == SQLITE_IOERR;
+}
+
+SqliteDatabase open_and_check(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
   SqliteDatabase database = open_run_file_unchecked(path, mode);
-  if (const auto verdict = database.value("pragma quick_check(1)"); verdict != "ok") {
-    throw RunFileError(path.string() + ": is damaged or truncated (" + verdict.value_or("no answer") +
-                       "); restore it from a copy");
+  const std::string verdict = database.value("pragma quick_check(1)").value_or("no answer");
+  if (verdict == "ok") return database;
+  if (tells_of_disk(verdict)) throw_sqlite_error(path.string(), SQLITE_IOERR, verdict);
+  throw RunFileError(path.string() + ": is damaged or truncated (" + verdict + "); restore it from a copy");
+}
+
+}  // namespace
+
+SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+  try {
+    return open_and_check(path, mode);
+  } catch (const DiskError&) {  // A loose cable or a network may fail once.
+    return open_and_check(path, mode);
   }
-  return database;
 }
 
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path) {

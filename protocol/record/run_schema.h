@@ -24,7 +24,8 @@ std::int64_t run_file_version(SqliteDatabase& database);
 /// @throws RunFileError if it is no run file, or is newer than this program
 SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
-/// Like open_run_file_unchecked(). @throws RunFileError also for a damaged file
+/// Like open_run_file_unchecked(), but tries again once if the disk fails.
+/// @throws RunFileError also for a damaged file; DiskError: it could not be read
 SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
 /// Whether a file begins as an SQLite file does.

@@ -5,13 +5,18 @@
 
 namespace abcal {
 
-std::string explain_sqlite_error(const std::string& file, int code, std::string_view message) {
+namespace {
+
+/// The words for a failed SQLite call, with the recommended action.
+std::string explain(const std::string& file, int code, std::string_view message) {
   std::string text = file + ": " + std::string(message);
   switch (code & 0xFF) {
     case SQLITE_FULL:
       return text + "; the disk is full: free some space, then continue with `abcal resume`";
     case SQLITE_IOERR:
-      return text + "; the disk could not be written or read: check its space and condition";
+      return text +
+             "; the disk could not be written or read, the file itself may be sound: check its space and "
+             "condition, then try again";
     case SQLITE_READONLY:
     case SQLITE_PERM:
       return text + "; the file or its folder cannot be written by this user";
@@ -27,6 +32,14 @@ std::string explain_sqlite_error(const std::string& file, int code, std::string_
     default:
       return text + " (SQLite code " + std::to_string(code) + ")";
   }
+}
+
+}  // namespace
+
+void throw_sqlite_error(const std::string& file, int code, std::string_view message) {
+  const std::string words = explain(file, code, message);
+  if ((code & 0xFF) == SQLITE_IOERR) throw DiskError(words);
+  throw RunFileError(words);
 }
 
 IdleStatements::~IdleStatements() {
@@ -59,7 +72,7 @@ SqliteStatement::SqliteStatement(sqlite3* database, std::shared_ptr<IdleStatemen
 
 void SqliteStatement::check(int code) const {
   if (code != SQLITE_OK && code != SQLITE_ROW && code != SQLITE_DONE) {
-    throw RunFileError(explain_sqlite_error(file_, code, sqlite3_errmsg(database_)));
+    throw_sqlite_error(file_, code, sqlite3_errmsg(database_));
   }
 }
 
@@ -160,8 +173,7 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
   const int code = sqlite3_open_v2(file_.c_str(), &database, flags | SQLITE_OPEN_NOMUTEX, nullptr);
   handle_.reset(database);
   if (code != SQLITE_OK) {
-    throw RunFileError(
-        explain_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory"));
+    throw_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory");
   }
   sqlite3_busy_timeout(database, 2000);
   // A file may come from any source: its schema runs no functions but harmless ones, and cannot be written
@@ -175,14 +187,13 @@ void SqliteDatabase::wait_at_most(std::chrono::milliseconds patience) {
 }
 
 void SqliteDatabase::execute(const std::string& sql) {
-  if (!execute_unless_busy(sql))
-    throw RunFileError(explain_sqlite_error(file_, SQLITE_BUSY, sqlite3_errmsg(handle_.get())));
+  if (!execute_unless_busy(sql)) throw_sqlite_error(file_, SQLITE_BUSY, sqlite3_errmsg(handle_.get()));
 }
 
 bool SqliteDatabase::execute_unless_busy(const std::string& sql) {
   const int code = sqlite3_exec(handle_.get(), sql.c_str(), nullptr, nullptr, nullptr);
   if ((code & 0xFF) == SQLITE_BUSY) return false;
-  if (code != SQLITE_OK) throw RunFileError(explain_sqlite_error(file_, code, sqlite3_errmsg(handle_.get())));
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errmsg(handle_.get()));
   return true;
 }
 

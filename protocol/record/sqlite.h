@@ -22,6 +22,12 @@ class RunFileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// The disk did not read or write, which says nothing about the contents of the file and may pass.
+class DiskError final : public RunFileError {
+ public:
+  using RunFileError::RunFileError;
+};
+
 /// Statements of one database that are prepared and not in use, by their text. To prepare one takes longer
 /// than most of them run.
 class IdleStatements {
@@ -145,7 +151,7 @@ class Transaction {
   bool committed_ = false;
 };
 
-/// The words for a failed SQLite call on `file`, with the recommended action.
-std::string explain_sqlite_error(const std::string& file, int code, std::string_view message);
+/// Reports a failed SQLite call on `file`, with the recommended action. @throws DiskError, RunFileError
+[[noreturn]] void throw_sqlite_error(const std::string& file, int code, std::string_view message);
 
 }  // namespace abcal

@@ -135,6 +135,25 @@ TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByATerminal) {
   EXPECT_TRUE(nlohmann::json::accept(json.out));
 }
 
+TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByAReaderOfAnExport) {
+  const std::string item =
+      "[item]\nmodel = \"TA\\u001b[31m\\u202e\\nint x;\"\nserial_number = \"\\u009b1\"\n";
+  test::write_file(folder / "item.toml", item + BenchText{}.text());
+  ASSERT_EQ(abcal({"run", "item.toml", "-o", "a.run"}).exit_code, 0);
+  std::vector<std::vector<std::string>> exports{{"report", "a.run", "--csv"}};
+  for (const char* format : {"json", "csv", "c", "px4", "ardupilot", "ros", "imucal"})
+    exports.push_back({"export", "a.run", "--as", format, "-o"});
+  for (std::vector<std::string>& words : exports) {
+    const std::string file = words.at(words.size() - 2) + ".out";
+    words.push_back(file);
+    const test::ProgramResult made = abcal(words);
+    ASSERT_EQ(made.exit_code, 0) << made.err;
+    const std::string text = test::read_file(folder / file);
+    for (const std::string obeyed : {"\x1b", "\u202e", "\u009b", "\nint x"})
+      EXPECT_EQ(text.find(obeyed), std::string::npos) << file << ": " << text.substr(0, 500);
+  }
+}
+
 TEST_F(BrokenOutputTest, ABenchFileThatNestsWithoutEndIsRefused) {
   const auto repeated = [](const std::string& text, int times) {
     std::string all;

@@ -5,9 +5,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <chrono>
 #include <string>
+#include <vector>
 
+#include "app/faces/console/login_throttle.h"
 #include "app/ground/system/real_clock.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/certificate/signing_certificate.h"
@@ -154,6 +157,18 @@ TEST_F(ApprovalTest, FourEyes) {
                       person);
   EXPECT_EQ(answer.status, 422U);
   EXPECT_THAT(answer.body, HasSubstr("Approver N. N. has measured the run"));
+}
+
+TEST_F(ApprovalTest, GuessesAtTheSameTimeSlowDownToo) {
+  open();
+  look();
+  std::vector<std::string> forms(18, form() + "&name=Approver+N.+N.&password=another+horse+7");
+  forms.push_back(form() + "&name=Approver+N.+N.&password=correct+horse+7");
+  const std::vector<unsigned> statuses = test::post_at_once(port, "/approve", forms, person);
+  EXPECT_LE(std::ranges::count(statuses, 422U), LoginThrottle::kFree + 1);
+  EXPECT_GE(std::ranges::count(statuses, 429U), 13);
+  EXPECT_EQ(statuses.back(), 429U) << "the right guess, too";
+  EXPECT_FALSE(current_certificate(runs() / "a.run", 1));
 }
 
 TEST_F(ApprovalTest, FailuresSlowDown) {

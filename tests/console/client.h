@@ -9,11 +9,13 @@
 #include <deque>
 #include <functional>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
+#include <vector>
 
 namespace abcal::test {
 
@@ -118,6 +120,21 @@ inline Answer http_post(std::uint16_t port, const std::string& target, const std
   RawConnection connection(port);
   connection.send(text + "Content-Length: " + std::to_string(form.size()) + "\r\n\r\n" + form);
   return connection.answer();
+}
+
+/// Forms that are posted at the same time, and the status of each answer.
+inline std::vector<unsigned> post_at_once(std::uint16_t port, const std::string& target,
+                                          const std::vector<std::string>& forms, Headers headers = {}) {
+  headers.emplace("Host", "127.0.0.1:" + std::to_string(port));
+  std::string head = "POST " + target + " HTTP/1.1\r\nContent-Type: application/x-www-form-urlencoded\r\n";
+  for (const auto& [name, value] : headers) head += name + ": " + value + "\r\n";
+  std::vector<std::unique_ptr<RawConnection>> connections;
+  for (std::size_t k = 0; k < forms.size(); ++k) connections.push_back(std::make_unique<RawConnection>(port));
+  for (std::size_t k = 0; k < forms.size(); ++k)
+    connections[k]->send(head + "Content-Length: " + std::to_string(forms[k].size()) + "\r\n\r\n" + forms[k]);
+  std::vector<unsigned> statuses;
+  for (const auto& connection : connections) statuses.push_back(connection->answer().status);
+  return statuses;
 }
 
 /// A page: a WebSocket of the console.

@@ -43,6 +43,14 @@ TEST_F(LoginThrottleTest, OthersAtOtherAddressesDoNotWait) {
   EXPECT_GT(wait("M. M."), 0s) << "other names at the same address are guesses, too";
 }
 
+/// A subscriber has 2^64 addresses of IPv6.
+TEST_F(LoginThrottleTest, AnAddressOfIpv6CountsByItsNetwork) {
+  for (int i = 0; i < 8; ++i) fail(1, "N. N.", "2001:db8:0:1::" + std::to_string(i));
+  EXPECT_GT(wait("N. N.", "2001:db8:0:1:ffff::9"), 0s) << "the same network";
+  EXPECT_GT(wait("M. M.", "2001:db8:0:1:ffff::9"), 0s) << "other names there are guesses, too";
+  EXPECT_LE(wait("N. N.", "2001:db8:0:2::1"), 0s) << "another network";
+}
+
 TEST_F(LoginThrottleTest, ASuccessOrAQuarterOfAnHourMakesUpForFailures) {
   fail(4);
   throttle.succeeded("N. N.", "192.0.2.1");

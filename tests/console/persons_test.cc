@@ -225,6 +225,15 @@ TEST_F(PersonsTest, AfterFiveFailuresEvenTheRightPasswordHasToWait) {
   EXPECT_TRUE(test::wait_for([&] { return try_to_log_in("Operator N. N.").status == 303; }, test::kPatience));
 }
 
+TEST_F(PersonsTest, GuessesAtTheSameTimeHaveToWaitToo) {
+  open();
+  std::vector<std::string> forms(18, "name=Operator+N.+N.&password=another+horse+7");
+  forms.push_back("name=Operator+N.+N.&password=correct+horse+7");
+  const std::vector<unsigned> statuses = test::post_at_once(port, "/login", forms);
+  EXPECT_LE(std::ranges::count(statuses, 401U), LoginThrottle::kFree + 1);
+  EXPECT_EQ(statuses.back(), 429U) << "the right guess, too";
+}
+
 TEST_F(PersonsTest, WhoLogsOutIsOutEverywhere) {
   open();
   const test::Headers person = logged_in("Operator N. N."), other = logged_in("Other N. N.");

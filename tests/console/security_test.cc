@@ -53,6 +53,7 @@ TEST_F(SecurityTest, ThePageAllowsNothingFromElsewhere) {
   EXPECT_EQ(answer.headers.at("X-Content-Type-Options"), "nosniff");
   EXPECT_EQ(answer.headers.at("Referrer-Policy"), "no-referrer");
   EXPECT_EQ(answer.headers.count("Access-Control-Allow-Origin"), 0U);
+  EXPECT_EQ(answer.headers.count("Strict-Transport-Security"), 0U) << "without TLS it would lock pages out";
   for (const Asset& asset : assets()) {
     EXPECT_EQ(test::http_get(port, std::string(asset.path)).body, asset.body) << asset.path;
     if (asset.path == "/chart.js") continue;  // Has addresses in its licence.

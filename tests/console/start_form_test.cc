@@ -1,10 +1,14 @@
 // The start form: its contents before a run, and the run that it starts.
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <fstream>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "app/faces/console/request.h"
 #include "app/faces/console/run_choice.h"
@@ -70,6 +74,21 @@ TEST_F(StartFormTest, PredictsLessUncertaintyOfMoreReadings) {
     return form(query)["predicted"][0]["standard_uncertainty"].get<double>();
   };
   EXPECT_LT(u("?dwell_readings=10000"), u("?dwell_readings=20"));
+}
+
+TEST_F(StartFormTest, ManyRequestsOfOnePersonAreNotAllPredicted) {
+  bench.protocol = "steps = 360\nstep_deg = 1.0\nsettle_s = 0.05\ndwell_readings = 10\n";  // Takes a second.
+  open();
+  std::vector<std::unique_ptr<test::RawConnection>> requests;
+  for (int k = 0; k < 10; ++k) {
+    requests.push_back(std::make_unique<test::RawConnection>(port));
+    requests.back()->send(fmt::format(
+        "GET /start-form?dwell_readings={} HTTP/1.1\r\nHost: 127.0.0.1:{}\r\n\r\n", 10 + k, port));
+  }
+  std::vector<unsigned> statuses;
+  for (const auto& request : requests) statuses.push_back(request->answer().status);
+  EXPECT_EQ(std::ranges::count(statuses, 200U), 2) << "the one that was being made, and one that waited";
+  EXPECT_EQ(std::ranges::count(statuses, 429U), 8);
 }
 
 TEST_F(StartFormTest, StartsTheItemAndThePlanThatWereChosen) {

@@ -93,7 +93,9 @@ TEST_F(TlsTest, AllGoesThroughTlsAndTheCookieStaysThere) {
   options.tls = own_tls_identity(folder.path(), {"localhost", "127.0.0.1"}, kNow);
   options.access.token = "0123456789abcdef";
   open();
-  EXPECT_EQ(https_request(port, *options.tls, {http::verb::get, "/runs", 11}).result_int(), 401U);
+  const auto refused = https_request(port, *options.tls, {http::verb::get, "/runs", 11});
+  EXPECT_EQ(refused.result_int(), 401U);
+  EXPECT_EQ(refused[http::field::strict_transport_security], "max-age=31536000");
   http::request<http::string_body> form(http::verb::post, "/login", 11, "token=0123456789abcdef");
   form.set(http::field::origin, "https://127.0.0.1:" + std::to_string(port));
   const auto welcome = https_request(port, *options.tls, form);

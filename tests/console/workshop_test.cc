@@ -15,6 +15,7 @@
 #include <cstdio>
 #include <fstream>
 #include <future>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <thread>
@@ -112,6 +113,56 @@ TEST_F(WorkshopTest, WhatFailsIsAnAnswer) {
       [&](const auto& product) { said = product->body; });
   run_until([&] { return !said.empty(); });
   EXPECT_EQ(said, "no such angle\n");
+}
+
+/// Many orders of one person take one thread, and those of a person who goes first do not wait behind them.
+TEST_F(WorkshopTest, OnePersonTakesOneThreadAndTheNewestOrderWaits) {
+  std::promise<void> go;
+  const std::shared_future<void> gone = go.get_future().share();
+  std::atomic<int> begun = 0;
+  std::map<int, unsigned> statuses;
+  std::vector<Workshop::Ticket> tickets;
+  const auto order = [&](int number, const Turn& turn, bool is_held) {
+    tickets.push_back(workshop.order(
+        "",
+        [&begun, gone, is_held](const std::stop_token&) {
+          ++begun;
+          if (is_held) gone.wait();
+          return product_of("");
+        },
+        [&statuses, number](const auto& product) { statuses[number] = product->status; }, turn));
+  };
+  for (int k = 0; k < 50; ++k) order(k, {"watcher", false}, true);
+  order(100, {"operator", true}, false);
+  run_until([&] { return statuses.size() == 49; });
+  EXPECT_EQ(statuses.at(100), 200U) << "the other thread was free for it";
+  EXPECT_EQ(begun, 2);
+  EXPECT_FALSE(statuses.contains(0)) << "it is being made";
+  EXPECT_FALSE(statuses.contains(49)) << "the newest waits";
+  for (int k = 1; k < 49; ++k) EXPECT_EQ(statuses.at(k), 429U) << k;
+  go.set_value();
+  run_until([&] { return statuses.size() == 51; });
+  EXPECT_EQ(statuses.at(0), 200U);
+  EXPECT_EQ(statuses.at(49), 200U);
+}
+
+TEST_F(WorkshopTest, WhoGoesFirstIsServedBeforeThoseWhoCameBefore) {
+  Workshop one{io, 1};
+  std::promise<void> go;
+  const std::shared_future<void> gone = go.get_future().share();
+  std::vector<std::string> made;
+  std::vector<Workshop::Ticket> tickets;
+  for (const std::string who : {"a", "b", "c", "operator"})
+    tickets.push_back(one.order(
+        "",
+        [gone](const std::stop_token&) {
+          gone.wait();
+          return product_of("");
+        },
+        [&made, who](const auto&) { made.push_back(who); }, {who, who == "operator"}));
+  go.set_value();
+  run_until([&] { return made.size() == 4; });
+  EXPECT_THAT(made, testing::ElementsAre("a", "operator", "b", "c"));
 }
 
 TEST(ProductCacheTest, KeepsByTheHashOfWhatItWasMadeOf) {

@@ -22,21 +22,22 @@ struct FailingDisk::Methods {
     return self(f).real->pMethods != nullptr ? inner(f).xClose(self(f).real) : SQLITE_OK;
   }
   static int read(sqlite3_file* f, void* to, int n, sqlite3_int64 at) {
+    if (self(f).disk->next(Call::kRead, "read of", self(f).name)) return SQLITE_IOERR_READ;
     return inner(f).xRead(self(f).real, to, n, at);
   }
   static int write(sqlite3_file* f, const void* from, int n, sqlite3_int64 at) {
-    const auto failure = self(f).disk->next(true, "write to", self(f).name);
+    const auto failure = self(f).disk->next(Call::kWrite, "write to", self(f).name);
     if (!failure) return inner(f).xWrite(self(f).real, from, n, at);
     if (*failure == Failure::kInputOutput) return SQLITE_IOERR_WRITE;
     if (*failure == Failure::kShortWrite) inner(f).xWrite(self(f).real, from, n / 2, at);
     return SQLITE_FULL;
   }
   static int truncate(sqlite3_file* f, sqlite3_int64 size) {
-    if (self(f).disk->next(false, "truncation of", self(f).name)) return SQLITE_IOERR_TRUNCATE;
+    if (self(f).disk->next(Call::kOtherChange, "truncation of", self(f).name)) return SQLITE_IOERR_TRUNCATE;
     return inner(f).xTruncate(self(f).real, size);
   }
   static int sync(sqlite3_file* f, int /*flags*/) {
-    return self(f).disk->next(false, "sync of", self(f).name) ? SQLITE_IOERR_FSYNC : SQLITE_OK;
+    return self(f).disk->next(Call::kOtherChange, "sync of", self(f).name) ? SQLITE_IOERR_FSYNC : SQLITE_OK;
   }
   static int size(sqlite3_file* f, sqlite3_int64* size) { return inner(f).xFileSize(self(f).real, size); }
   static int lock(sqlite3_file* f, int level) { return inner(f).xLock(self(f).real, level); }
@@ -51,7 +52,8 @@ struct FailingDisk::Methods {
   static int characteristics(sqlite3_file* f) { return inner(f).xDeviceCharacteristics(self(f).real); }
   static int map(sqlite3_file* f, int region, int size, int extend, void volatile** to) {
     // The index of the write-ahead log grows.
-    if (extend != 0 && self(f).disk->next(false, "mapping of", self(f).name)) return SQLITE_IOERR_SHMSIZE;
+    if (extend != 0 && self(f).disk->next(Call::kOtherChange, "mapping of", self(f).name))
+      return SQLITE_IOERR_SHMSIZE;
     return inner(f).xShmMap(self(f).real, region, size, extend, to);
   }
   static int map_lock(sqlite3_file* f, int offset, int n, int flags) {
@@ -75,7 +77,7 @@ struct FailingDisk::Methods {
   static int open(sqlite3_vfs* vfs, const char* name, sqlite3_file* file, int flags, int* out_flags) {
     File& mine = self(file);
     mine.base.pMethods = nullptr;
-    if ((flags & SQLITE_OPEN_READWRITE) != 0 && disk(vfs).next(false, "opening of", name))
+    if ((flags & SQLITE_OPEN_READWRITE) != 0 && disk(vfs).next(Call::kOtherChange, "opening of", name))
       return SQLITE_CANTOPEN;
     mine.disk = &disk(vfs);
     mine.name = name;
@@ -86,7 +88,7 @@ struct FailingDisk::Methods {
     return code;
   }
   static int remove(sqlite3_vfs* vfs, const char* name, int sync_folder) {
-    if (disk(vfs).next(false, "removal of", name)) return SQLITE_IOERR_DELETE;
+    if (disk(vfs).next(Call::kOtherChange, "removal of", name)) return SQLITE_IOERR_DELETE;
     return disk(vfs).real_->xDelete(disk(vfs).real_, name, sync_folder);
   }
 };
@@ -114,17 +116,22 @@ void FailingDisk::fail(Failure how, std::size_t at, bool lasts) {
 void FailingDisk::mend() {
   plan_.reset();
   failed_.reset();
-  writes_ = changes_ = 0;
+  reads_ = writes_ = changes_ = 0;
 }
 
 std::size_t FailingDisk::calls(Failure how) const {
+  if (how == Failure::kRead) return reads_;
   return how == Failure::kInputOutput ? changes_ : writes_;
 }
 
-std::optional<FailingDisk::Failure> FailingDisk::next(bool write, const char* what, const char* file) {
-  ++changes_;
-  if (write) ++writes_;
-  if (!plan_ || (!write && plan_->how != Failure::kInputOutput)) return std::nullopt;
+std::optional<FailingDisk::Failure> FailingDisk::next(Call call, const char* what, const char* file) {
+  ++(call == Call::kRead ? reads_ : changes_);
+  if (call == Call::kWrite) ++writes_;
+  if (!plan_) return std::nullopt;
+  const bool can_fail = plan_->how == Failure::kRead          ? call == Call::kRead
+                        : plan_->how == Failure::kInputOutput ? call != Call::kRead
+                                                              : call == Call::kWrite;
+  if (!can_fail) return std::nullopt;
   const std::size_t count = calls(plan_->how);
   if (count != plan_->at && !(plan_->lasts && count > plan_->at)) return std::nullopt;
   if (!failed_) {

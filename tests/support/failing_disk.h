@@ -18,6 +18,7 @@ class FailingDisk {
     kShortWrite,   ///< A write fails with SQLITE_FULL after half of its bytes.
     kInputOutput,  ///< A write, a sync, a truncation, the opening or removal of a file fails with an I/O
                    ///< error.
+    kRead,         ///< A read fails with an I/O error.
   };
 
   FailingDisk();
@@ -38,12 +39,13 @@ class FailingDisk {
  private:
   struct File;
   struct Methods;
-  /// Action of a call that changes the disk: absent if it is passed on, else a failure.
-  std::optional<Failure> next(bool write, const char* what, const char* file);
+  enum class Call { kRead, kWrite, kOtherChange };
+  /// Action of a call: absent if it is passed on, else a failure.
+  std::optional<Failure> next(Call call, const char* what, const char* file);
 
   sqlite3_vfs* real_;
   sqlite3_vfs vfs_;
-  std::size_t writes_ = 0, changes_ = 0;
+  std::size_t reads_ = 0, writes_ = 0, changes_ = 0;
   struct Plan {
     Failure how;
     std::size_t at;

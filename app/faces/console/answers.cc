@@ -6,6 +6,7 @@
 #include <charconv>
 #include <utility>
 
+#include "app/faces/console/silent_connections.h"
 #include "app/faces/console/start_form.h"
 #include "app/faces/console/target.h"
 #include "app/ground/bench_file/bench_config.h"
@@ -90,6 +91,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
   }
   if (order_of_library(target->words, later) || order_approval(target->words, asked.visitor, later)) {
     later.head = head_of(request);
+    later.turn.first = asked.visitor.may_steer;
     return {};
   }
   later = {};  // An unknown path orders nothing.
@@ -106,6 +108,8 @@ bool Answers::order_start_form(const Asked& asked, Slow& later) {
   if (!fields) return false;
   later.head = head_of(asked.request);
   later.workshop = &analyses_;
+  later.turn = {asked.visitor.who.name.empty() ? counted_address(asked.peer.client) : asked.visitor.who.name,
+                asked.visitor.may_steer};
   later.make = [this, fields = *fields, who = asked.visitor.who](const std::stop_token&) {
     const StartFormAsked form{bench_file_, runs_, common_.options.register_location, who,
                               parse_run_choice(fields)};

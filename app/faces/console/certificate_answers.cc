@@ -26,6 +26,7 @@ struct Attempt {
   nlohmann::ordered_json answer;
   http::status status = http::status::ok;
   std::string problem;
+  Clock::Duration wait{};  ///< After too many failures; nothing was tried then.
   bool wrong_password = false;
 };
 
@@ -93,22 +94,23 @@ HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
   if (common_.options.register_location.empty() || filled.approver.empty() || filled.password.empty())
     return refuse(asked, http::status::bad_request,
                   "Required: a register, and name and password of a person who may approve.");
-  if (auto refusal = logins_.refuse_if_throttled(asked, filled.approver)) return *std::move(refusal);
-
   const auto attempt = attempt_of(asked, "/approve", filled.approver, *of);
   const auto finish = [this, attempt]() -> HttpResponse {
     const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
-    if (attempt->wrong_password) logins_.failed(attempt->name, attempt->peer);
+    if (attempt->wait > Clock::Duration::zero()) return logins_.refuse_throttled(then, attempt->wait);
     if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
-    logins_.succeeded(attempt->name, attempt->peer);
     log_issued(*attempt, "");
     return json_answer(attempt->head, attempt->answer);
   };
   later.where = &seal_;
   later.job = [this, attempt, filled, finish] {
+    attempt->wait = logins_.wait(attempt->name, attempt->peer);
+    if (attempt->wait > Clock::Duration::zero()) return Slow::Finish(finish);
     carry_out_attempt(
         *attempt, [&] { return approve(filled, approval_place(), common_.clock.utc_now()); },
         "Name or password is not right.");
+    if (attempt->wrong_password) logins_.failed(attempt->name, attempt->peer);
+    if (attempt->problem.empty()) logins_.succeeded(attempt->name, attempt->peer);
     return Slow::Finish(finish);
   };
   return {};

@@ -268,19 +268,20 @@ void HttpConnection::carry_out(Slow slow) {
 
 void HttpConnection::carry_out_order(Slow slow) {
   client_timer_.emplace(common_.io);
-  order_ = slow.workshop->order(slow.name, std::move(slow.make),
-                                [self = shared_from_this(),
-                                 head = std::move(slow.head)](const std::shared_ptr<const Product>& product) {
-                                  self->order_.reset();
-                                  self->client_timer_->cancel();
-                                  HttpResponse response = respond(head, http::status(product->status),
-                                                                  product->content_type, product->body);
-                                  // A report has its own styles, which the security policy of the page
-                                  // forbids.
-                                  if (product->is_file)
-                                    response.set(http::field::content_disposition, "attachment");
-                                  self->write(std::move(response));
-                                });
+  order_ = slow.workshop->order(
+      slow.name, std::move(slow.make),
+      [self = shared_from_this(),
+       head = std::move(slow.head)](const std::shared_ptr<const Product>& product) {
+        self->order_.reset();
+        self->client_timer_->cancel();
+        HttpResponse response =
+            respond(head, http::status(product->status), product->content_type, product->body);
+        // A report has its own styles, which the security policy of the page
+        // forbids.
+        if (product->is_file) response.set(http::field::content_disposition, "attachment");
+        self->write(std::move(response));
+      },
+      std::move(slow.turn));
   watch_client();
 }
 
@@ -299,6 +300,8 @@ void HttpConnection::watch_client() {
 
 void HttpConnection::write(HttpResponse response) {
   response_ = std::move(response);
+  // For a year the browser asks for this host over TLS only.
+  if (peer_.secure) response_->set(http::field::strict_transport_security, "max-age=31536000");
   if (parser_->get().method() == http::verb::head) response_->body().clear();
   stream_.next_layer().expires_after(common_.options.request_time +
                                      std::chrono::seconds(response_->body().size() / kSlowest));

@@ -52,6 +52,7 @@ struct Slow {
   Workshop* workshop = nullptr;
   std::string name;  ///< Name of the order.
   Workshop::Make make;
+  Turn turn;
   HttpRequest head;  ///< Head of the request that is answered.
 
   explicit operator bool() const { return where != nullptr || workshop != nullptr; }

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "app/faces/console/silent_connections.h"
+
 namespace abcal::console {
 namespace {
 
@@ -13,15 +15,16 @@ constexpr std::size_t kMostCounts = 2000;
 constexpr std::size_t kLongestKey = 200;
 
 std::string key_of(const std::string& name, const std::string& address) {
-  return address + "\n" + name.substr(0, kLongestKey);
+  return counted_address(address) + "\n" + name.substr(0, kLongestKey);
 }
 
 }  // namespace
 
 Clock::Duration LoginThrottle::wait(const std::string& name, const std::string& address,
                                     Clock::Instant now) const {
+  const std::lock_guard lock(mutex_);
   Clock::Duration longest{};
-  for (const std::string& key : {key_of(name, address), address}) {
+  for (const std::string& key : {key_of(name, address), counted_address(address)}) {
     const auto found = counts_.find(key);
     if (found != counts_.end()) longest = std::max(longest, found->second.next - now);
   }
@@ -40,6 +43,7 @@ void LoginThrottle::count(const std::string& key, Clock::Instant now) {
 }
 
 void LoginThrottle::failed(const std::string& name, const std::string& address, Clock::Instant now) {
+  const std::lock_guard lock(mutex_);
   std::erase_if(counts_, [&](const auto& each) { return now - each.second.last > kForgotten; });
   // Limits the memory that a flood of names or addresses takes; the oldest failures are forgotten.
   while (counts_.size() + 2 > kMostCounts)
@@ -47,10 +51,11 @@ void LoginThrottle::failed(const std::string& name, const std::string& address, 
       return a.second.last < b.second.last;
     }));
   count(key_of(name, address), now);
-  count(address, now);
+  count(counted_address(address), now);
 }
 
 void LoginThrottle::succeeded(const std::string& name, const std::string& address) {
+  const std::lock_guard lock(mutex_);
   counts_.erase(key_of(name, address));
 }
 

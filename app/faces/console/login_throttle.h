@@ -1,6 +1,7 @@
 #pragma once
 
 #include <map>
+#include <mutex>
 #include <string>
 
 #include "drivers/instrument/clock.h"
@@ -8,7 +9,8 @@
 namespace abcal::console {
 
 /// Slows down guessing of passwords: after five failures each further attempt has to wait, twice as long each
-/// time, at most a minute. Failures count for a person at an address, and for the address. For one thread.
+/// time, at most a minute. Failures count for a person at an address, and for the address (counted_address():
+/// of IPv6 the network). Safe to use from several threads.
 class LoginThrottle {
  public:
   static constexpr int kFree = 5;  ///< Number of failures from which attempts have to wait.
@@ -27,6 +29,7 @@ class LoginThrottle {
   };
   void count(const std::string& key, Clock::Instant now);
 
+  mutable std::mutex mutex_;
   std::map<std::string, Count> counts_;
 };
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <boost/asio/post.hpp>
 #include <cmath>
 #include <memory>
@@ -110,9 +111,11 @@ HttpResponse Logins::greet(const Asked& asked, const std::string& cookie, const 
   return response;
 }
 
-std::optional<HttpResponse> Logins::refuse_if_throttled(const Asked& asked, const std::string& name) {
-  const Clock::Duration wait = throttle_.wait(name, asked.peer.client, common_.clock.now());
-  if (wait <= Clock::Duration::zero()) return std::nullopt;
+Clock::Duration Logins::wait(const std::string& name, const Peer& peer) const {
+  return std::max(throttle_.wait(name, peer.client, common_.clock.now()), Clock::Duration::zero());
+}
+
+HttpResponse Logins::refuse_throttled(const Asked& asked, Clock::Duration wait) {
   const auto seconds = static_cast<long>(std::ceil(to_seconds(wait)));
   HttpResponse response =
       refuse(common_.log_refusal, asked, http::status::too_many_requests,
@@ -131,7 +134,8 @@ void Logins::succeeded(const std::string& name, const Peer& peer) {
 
 HttpResponse Logins::log_in_by_token(const Asked& asked, const std::string& token) {
   const AccessRules& access = common_.options.access;
-  if (auto refusal = refuse_if_throttled(asked, {})) return *std::move(refusal);
+  if (const auto time = wait({}, asked.peer); time > Clock::Duration::zero())
+    return refuse_throttled(asked, time);
   if (access.token.empty() || !same_secret(token, access.token)) {
     failed({}, asked.peer);
     return refuse(common_.log_refusal, asked, http::status::unauthorized, "This is not the token.");
@@ -150,17 +154,16 @@ HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
   if (!common_.options.access.persons || name.empty())
     return refuse(common_.log_refusal, asked, http::status::bad_request,
                   "The form lacks a name and a password, or a token.");
-  if (auto refusal = refuse_if_throttled(asked, name)) return *std::move(refusal);
-
   // The request is gone when the register has answered.
   struct Attempt {
     Peer peer;
     HttpRequest head;
     std::string name;
+    Clock::Duration wait{};
     std::optional<Visitor> person;
     std::string problem;
   };
-  auto attempt = std::make_shared<Attempt>(Attempt{asked.peer, head_of(asked.request), name, {}, {}});
+  auto attempt = std::make_shared<Attempt>(Attempt{asked.peer, head_of(asked.request), name, {}, {}, {}});
   attempt->head.target("/login");
   attempt->head.method(http::verb::post);
   attempt->head.set(http::field::origin, asked.request[http::field::origin]);
@@ -169,24 +172,24 @@ HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
     if (!attempt->problem.empty())
       return refuse(common_.log_refusal, then, http::status::service_unavailable,
                     "The register cannot be read: " + attempt->problem);
-    // Failures in the meantime count, so that parallel attempts do not evade the limit.
-    if (auto refusal = refuse_if_throttled(then, attempt->name)) return *std::move(refusal);
-    if (!attempt->person) {
-      failed(attempt->name, attempt->peer);
+    if (attempt->wait > Clock::Duration::zero()) return refuse_throttled(then, attempt->wait);
+    if (!attempt->person)
       return refuse(common_.log_refusal, then, http::status::unauthorized, "Name or password is not right.");
-    }
-    succeeded(attempt->name, attempt->peer);
     const Persons::Known person = persons_.remember(*std::move(attempt->person));
     print_log("console: {} has logged in from {}\n", person->who.name, attempt->peer.remote);
     return greet(then, login_cookie_, person->login, common_.options.login_time);
   };
   later.where = &door_;
   later.job = [this, attempt, password, finish] {
+    attempt->wait = wait(attempt->name, attempt->peer);
+    if (attempt->wait > Clock::Duration::zero()) return Slow::Finish(finish);
     try {
       attempt->person =
           register_of_persons::log_in(common_.options.register_location, attempt->name, password,
                                       common_.clock.utc_now(), common_.options.login_time);
+      succeeded(attempt->name, attempt->peer);
     } catch (const LoginRefused&) {  // No person: the attempt has failed.
+      failed(attempt->name, attempt->peer);
     } catch (const std::exception& error) {
       attempt->problem = error.what();
     }

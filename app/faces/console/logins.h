@@ -49,10 +49,14 @@ class Logins {
   /// @param of_pages  the logins of the pages that are open
   void check(const std::vector<std::string>& of_pages);
 
-  /// The refusal of an attempt after too many failures; absent: this one may be made.
-  std::optional<HttpResponse> refuse_if_throttled(const Asked& asked, const std::string& name);
+  /// How long an attempt has to wait after too many failures; zero: it may be made. To be asked where the
+  /// password is tried, one attempt after another, so that parallel attempts do not evade the limit. This and
+  /// the next two functions may be called from any thread.
+  Clock::Duration wait(const std::string& name, const Peer& peer) const;
   void failed(const std::string& name, const Peer& peer);
   void succeeded(const std::string& name, const Peer& peer);
+  /// The answer to an attempt that has to wait.
+  HttpResponse refuse_throttled(const Asked& asked, Clock::Duration wait);
 
  private:
   HttpResponse log_in_by_token(const Asked& asked, const std::string& token);

@@ -4,7 +4,9 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <boost/asio/post.hpp>
+#include <set>
 #include <utility>
 
 #include "app/ground/system/version.h"
@@ -39,59 +41,108 @@ void require_wanted(const std::stop_token& cancelled) {
 
 struct Workshop::Order {
   std::string name;
+  Make make;
+  Turn turn;
   std::stop_source stop;
   std::map<std::uint64_t, Done> waiting;
 };
 
 /// The orders in progress; used in the thread of the connections only.
-struct Workshop::Book {
+struct Workshop::Book : std::enable_shared_from_this<Book> {
+  Book(boost::asio::io_context& connections, boost::asio::thread_pool& threads, std::size_t thread_count)
+      : io(connections), pool(&threads), free_threads(thread_count) {}
+
+  boost::asio::io_context& io;
+  boost::asio::thread_pool* pool;  ///< Null: closed.
+  std::size_t free_threads;
   std::map<std::string, std::shared_ptr<Order>> by_name;
+  std::list<std::shared_ptr<Order>> queue;  ///< Orders that wait for a thread, oldest first.
+  std::set<std::string> being_served;       ///< Persons of the orders that have one.
   std::size_t in_progress = 0;
   std::uint64_t tickets = 0;
 
   void forget(const Order& order) {
     const auto found = by_name.find(order.name);
     if (found != by_name.end() && found->second.get() == &order) by_name.erase(found);
+    std::erase_if(queue, [&](const auto& each) { return each.get() == &order; });
   }
-};
 
-Workshop::Workshop(boost::asio::io_context& io, std::size_t threads)
-    : io_(io), book_(std::make_shared<Book>()), pool_(threads) {}
-
-Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done) {
-  const std::uint64_t number = ++book_->tickets;
-  // A name begins with "/", so that a number is shared with nobody.
-  const std::string known_as = name.empty() ? std::to_string(number) : "/" + name;
-  std::shared_ptr<Order>& place = book_->by_name[known_as];
-  const bool is_new = place == nullptr;
-  if (is_new) {
-    place = std::make_shared<Order>();
-    place->name = known_as;
+  void finish(Order& order, const std::shared_ptr<const Product>& product) {
+    forget(order);
+    for (const auto& [waits, tell] : std::exchange(order.waiting, {})) {
+      --in_progress;
+      tell(product);
+    }
   }
-  const std::shared_ptr<Order> order = place;
-  order->waiting[number] = std::move(done);
-  ++book_->in_progress;
-  if (is_new) {
-    boost::asio::post(pool_, [this, order, make = std::move(make), stop = order->stop.get_token()] {
+
+  void enqueue(const std::shared_ptr<Order>& order) {
+    const auto older = std::ranges::find_if(
+        queue, [&](const auto& each) { return !order->turn.of.empty() && each->turn.of == order->turn.of; });
+    if (older != queue.end()) {
+      boost::asio::post(io, [book = shared_from_this(), replaced = *older] {
+        static const auto kReplaced = std::make_shared<const Product>(Product{
+            429, "text/plain; charset=utf-8", "A newer request of the same person took its place.\n"});
+        book->finish(*replaced, kReplaced);
+      });
+      queue.erase(older);
+    }
+    queue.push_back(order);
+    begin_next();
+  }
+
+  /// Gives free threads to the orders whose turn it is.
+  void begin_next() {
+    while (pool != nullptr && free_threads > 0) {
+      const auto may_begin = [&](const auto& each) { return !being_served.contains(each->turn.of); };
+      auto next =
+          std::ranges::find_if(queue, [&](const auto& each) { return each->turn.first && may_begin(each); });
+      if (next == queue.end()) next = std::ranges::find_if(queue, may_begin);
+      if (next == queue.end()) return;
+      begin(*next);
+      queue.erase(next);
+    }
+  }
+
+  void begin(const std::shared_ptr<Order>& order) {
+    --free_threads;
+    if (!order->turn.of.empty()) being_served.insert(order->turn.of);
+    boost::asio::post(*pool, [book = shared_from_this(), order, stop = order->stop.get_token()] {
       yield_to_measuring();
       std::shared_ptr<const Product> product;
       try {
         require_wanted(stop);
-        product = make(stop);
+        product = order->make(stop);
       } catch (const std::exception& error) {
         product = std::make_shared<Product>(
             Product{422, "text/plain; charset=utf-8", std::string(error.what()) + "\n"});
       }
       give_back_memory();
-      boost::asio::post(io_, [book = book_, order, product] {
-        book->forget(*order);
-        for (const auto& [waits, tell] : std::exchange(order->waiting, {})) {
-          --book->in_progress;
-          tell(product);
-        }
+      boost::asio::post(book->io, [book, order, product] {
+        ++book->free_threads;
+        book->being_served.erase(order->turn.of);
+        book->begin_next();
+        book->finish(*order, product);
       });
     });
   }
+};
+
+Workshop::Workshop(boost::asio::io_context& io, std::size_t threads)
+    : book_(std::make_shared<Book>(io, pool_, threads)), pool_(threads) {}
+
+Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done, Turn turn) {
+  const std::uint64_t number = ++book_->tickets;
+  // A name begins with "/", so that a number is shared with nobody.
+  const std::string known_as = name.empty() ? std::to_string(number) : "/" + name;
+  std::shared_ptr<Order>& place = book_->by_name[known_as];
+  const bool is_new = place == nullptr;
+  if (is_new)
+    place = std::make_shared<Order>(
+        Order{.name = known_as, .make = std::move(make), .turn = std::move(turn), .stop = {}, .waiting = {}});
+  const std::shared_ptr<Order> order = place;
+  order->waiting[number] = std::move(done);
+  ++book_->in_progress;
+  if (is_new) book_->enqueue(order);
   return {order.get(), [book = book_, order, number](Order*) {
             if (order->waiting.erase(number) == 0) return;  // It was notified already.
             --book->in_progress;
@@ -103,6 +154,8 @@ Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done) 
 
 void Workshop::close() {
   for (const auto& [name, order] : book_->by_name) order->stop.request_stop();
+  book_->pool = nullptr;
+  book_->queue.clear();
   pool_.stop();
   pool_.join();
 }

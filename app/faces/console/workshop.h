@@ -34,8 +34,17 @@ class Cancelled : public std::runtime_error {
 /// @throws Cancelled
 void require_wanted(const std::stop_token& cancelled);
 
+/// When an order's turn comes.
+struct Turn {
+  /// The person that it is for. Of one person at most one order is made at a time, and the newest one waits;
+  /// those in between are answered with a refusal. Empty: it counts for nobody.
+  std::string of{};
+  bool first = false;  ///< It goes before waiting orders that are not.
+};
+
 /// Makes slow products in the threads of a pool: each once, however many clients wait for it, and given up if
-/// none waits any more. Its functions are for the thread of `io`.
+/// none waits any more. Orders that wait for a thread begin in the order of their arrival, but for their
+/// Turn. Its functions are for the thread of `io`.
 class Workshop {
  public:
   using Make = std::function<std::shared_ptr<const Product>(const std::stop_token& cancelled)>;
@@ -51,7 +60,8 @@ class Workshop {
   /// @param name  orders of one name share one product; empty: not shared
   /// @param make  called in the pool; what it throws becomes an answer for people
   /// @param done  called in the thread of `io`
-  Ticket order(const std::string& name, Make make, Done done);
+  /// @param turn  of the first client who orders the product
+  Ticket order(const std::string& name, Make make, Done done, Turn turn = {});
   /// Cancels all, and waits for the end.
   void close();
   /// Number of waiting clients.
@@ -60,7 +70,6 @@ class Workshop {
  private:
   struct Order;
   struct Book;
-  boost::asio::io_context& io_;
   std::shared_ptr<Book> book_;
   boost::asio::thread_pool pool_;
 };

@@ -281,6 +281,17 @@ std::string printable_text(std::string_view text) {
   return made;
 }
 
+std::string printable_line(std::string_view text) {
+  std::string made;
+  for (const char c : printable_text(text)) {
+    if (c == '\n')
+      made += "\\n";
+    else
+      made += c;
+  }
+  return made;
+}
+
 std::string shortened_text(std::string_view text, std::size_t limit) {
   if (text.size() <= limit) return std::string(text);
   std::size_t end = limit;

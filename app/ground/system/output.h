@@ -59,6 +59,9 @@ void print_to_terminal(std::string_view text) noexcept;
 /// not UTF-8 as \xff. In JSON this changes no meaning.
 std::string printable_text(std::string_view text);
 
+/// As printable_text(), and a line break is escaped too: for text within one line of a file.
+std::string printable_line(std::string_view text);
+
 /// The first `limit` bytes, cut between two characters of UTF-8, and how many bytes are left out; all of a
 /// text that is no longer.
 std::string shortened_text(std::string_view text, std::size_t limit);

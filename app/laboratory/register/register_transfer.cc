@@ -1,8 +1,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <nlohmann/json.hpp>
 
+#include "app/ground/system/output.h"
 #include "app/laboratory/register/register.h"
 #include "app/laboratory/register/register_schema.h"
 #include "protocol/record/run_file.h"
@@ -21,7 +23,21 @@ bool is_secret(std::string_view column) {
   return column == "password";
 }
 
-std::string csv_field(const std::string& text) {
+/// Whether a spreadsheet would carry a cell out as a formula. A number begins with a sign as well.
+bool begins_as_formula(const std::string& text) {
+  if (text.empty() || std::string_view("=+-@\t").find(text.front()) == std::string_view::npos) return false;
+  const std::size_t sign = text.front() == '+' ? 1 : 0;  // from_chars() takes no plus.
+  double number = 0.0;
+  const char* const end = text.data() + text.size();
+  const auto [read, error] = std::from_chars(text.data() + sign, end, number);
+  return error != std::errc() || read != end;
+}
+
+/// A cell of CSV that a terminal, an editor and a spreadsheet show as it is: a formula becomes text by an
+/// apostrophe in front, as spreadsheets do it themselves.
+std::string csv_field(const std::string& value) {
+  std::string text = printable_text(value);
+  if (begins_as_formula(text)) text.insert(0, "'");
   if (text.find_first_of("\",\r\n") == std::string::npos) return text;
   std::string quoted = "\"";
   for (const char c : text) {
@@ -141,7 +157,7 @@ std::string Register::export_json() {
   for (const TableDescription& table : register_tables())
     if (is_exported(table.name)) json["tables"][std::string(table.name)] = rows_of(database_, table, false);
   reading.commit();
-  return json.dump(2) + "\n";
+  return printable_text(json.dump(2)) + "\n";
 }
 
 }  // namespace abcal::lab

@@ -7,6 +7,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "app/ground/system/output.h"
 #include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
@@ -18,13 +19,24 @@ constexpr const char* kSchema = "abcal.wire/1";
 constexpr const char* kHost = "host";
 constexpr const char* kInstrument = "instrument";
 
+/// @throws std::runtime_error  with the text; the library's own error has no words
+std::string bytes_of(const std::string& hex) {
+  try {
+    return boost::algorithm::unhex(hex);
+  } catch (const boost::algorithm::hex_decode_error&) {
+    throw std::runtime_error(
+        fmt::format("\"hex\" is \"{}\", which is not two hexadecimal digits for each byte",
+                    shortened_text(printable_text(hex), 60)));
+  }
+}
+
 LoggedBytes row_of(const Json& line) {
   LoggedBytes row;
   const auto from = line.at("from").get<std::string>();
   if (from != kHost && from != kInstrument) throw std::runtime_error("\"from\" is " + from);
   row.from = from == kHost ? LoggedBytes::From::kHost : LoggedBytes::From::kInstrument;
   row.t_s = line.at("t_s").get<double>();
-  row.bytes = boost::algorithm::unhex(line.at("hex").get<std::string>());
+  row.bytes = bytes_of(line.at("hex").get<std::string>());
   return row;
 }
 

@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "app/ground/system/output.h"
 #include "app/results/export/fixed_point.h"
 #include "app/results/export/mat_format.h"
 
@@ -24,7 +25,9 @@ std::string heading(const CorrectionConstants& c, std::string_view comment) {
           ? "x along the axis of u, y in the plane of u and v (not the platter of the stage)"
           : "the platter of the stage at its default orientation";
   std::string text;
-  const auto line = [&](const std::string& words) { text += fmt::format("{} {}\n", comment, words); };
+  const auto line = [&](const std::string& words) {
+    text += fmt::format("{} {}\n", comment, printable_line(words));
+  };
   line("Constants of an accelerometer, by abcal");
   if (!c.item.empty()) line("Item: " + c.item);
   line("From: " + c.source + (c.performed.empty() ? "" : ", " + c.performed) + ", verdict: " + c.verdict);
@@ -66,7 +69,7 @@ std::string as_json(const CorrectionConstants& c) {
                      {"tau_s", c.noise->tau_s},
                      {"rate_hz", c.noise->rate_hz}};
   }
-  return json.dump(2) + "\n";
+  return printable_text(json.dump(2)) + "\n";
 }
 
 std::string as_csv(const CorrectionConstants& c) {
@@ -222,22 +225,22 @@ std::string as_imucal(const CorrectionConstants& c) {
   const Eigen::Vector3d K = KR.rowwise().norm();
   const Eigen::Matrix3d R = K.cwiseInverse().asDiagonal() * KR;
   const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
-  return Json{{"cal_type", "Ferraris"},
-              {"acc_unit", "m/s^2"},
-              {"gyr_unit", "deg/s"},
-              {"from_acc_unit", "m/s^2"},
-              {"from_gyr_unit", "deg/s"},
-              {"comment", fmt::format("{}; {}; the gyroscope was not calibrated, its entries change nothing",
-                                      c.item, c.source)},
-              {"K_a", rows(K.asDiagonal())},
-              {"R_a", rows(R)},
-              {"b_a", list(c.bias_si())},
-              {"K_g", rows(I)},
-              {"R_g", rows(I)},
-              {"K_ga", rows(Eigen::Matrix3d::Zero())},
-              {"b_g", list(Eigen::Vector3d::Zero())}}
-             .dump(2) +
-         "\n";
+  const Json json{
+      {"cal_type", "Ferraris"},
+      {"acc_unit", "m/s^2"},
+      {"gyr_unit", "deg/s"},
+      {"from_acc_unit", "m/s^2"},
+      {"from_gyr_unit", "deg/s"},
+      {"comment",
+       fmt::format("{}; {}; the gyroscope was not calibrated, its entries change nothing", c.item, c.source)},
+      {"K_a", rows(K.asDiagonal())},
+      {"R_a", rows(R)},
+      {"b_a", list(c.bias_si())},
+      {"K_g", rows(I)},
+      {"R_g", rows(I)},
+      {"K_ga", rows(Eigen::Matrix3d::Zero())},
+      {"b_g", list(Eigen::Vector3d::Zero())}};
+  return printable_text(json.dump(2)) + "\n";
 }
 
 }  // namespace

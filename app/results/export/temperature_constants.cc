@@ -12,6 +12,7 @@
 #include <numbers>
 #include <string_view>
 
+#include "app/ground/system/output.h"
 #include "app/results/export/constants.h"
 
 namespace abcal {
@@ -65,7 +66,9 @@ void fit_matrix(TemperatureConstants& c) {
 
 std::string heading(const TemperatureConstants& c, std::string_view comment) {
   std::string text;
-  const auto line = [&](const std::string& words) { text += fmt::format("{} {}\n", comment, words); };
+  const auto line = [&](const std::string& words) {
+    text += fmt::format("{} {}\n", comment, printable_line(words));
+  };
   line("Constants of an accelerometer over temperature, by abcal");
   if (!c.item.empty()) line("Item: " + c.item);
   line("From: " + c.source + (c.performed.empty() ? "" : ", " + c.performed) + ", verdict: " + c.verdict);
@@ -125,26 +128,25 @@ std::string temperature_constants_json(const TemperatureConstants& c) {
   for (std::size_t j = 0; j < 3; ++j) matrix.push_back({c.M[3 * j], c.M[3 * j + 1], c.M[3 * j + 2]});
   for (const TemperaturePolynomial& each : c.outputs) outputs.push_back(json_of(each));
   for (std::size_t j = kFirstOffset; j < c.outputs.size(); ++j) bias.push_back(c.outputs[j].coefficient);
-  return Json{{"schema", "abcal.temperature_constants/1"},
-              {"rule", "a = M(T) (r - b(T)); each element is sum c[n] (T - T0)^n"},
-              {"item", c.item},
-              {"source", c.source},
-              {"performed", c.performed},
-              {"verdict", c.verdict},
-              {"frame", "item"},
-              {"response_unit", c.response_unit},
-              {"g_loc_mps2", c.g_loc_mps2},
-              {"T0_degc", c.reference_degc},
-              {"least_degc", c.least_degc},
-              {"most_degc", c.most_degc},
-              {"M",
-               {{"coefficients", matrix},
-                {"largest_error", c.largest_error},
-                {"unit", "m/s2 per response unit / K^n"}}},
-              {"b", {{"coefficients", bias}, {"unit", "response unit / K^n"}}},
-              {"outputs", outputs}}
-             .dump(2) +
-         "\n";
+  const Json json{{"schema", "abcal.temperature_constants/1"},
+                  {"rule", "a = M(T) (r - b(T)); each element is sum c[n] (T - T0)^n"},
+                  {"item", c.item},
+                  {"source", c.source},
+                  {"performed", c.performed},
+                  {"verdict", c.verdict},
+                  {"frame", "item"},
+                  {"response_unit", c.response_unit},
+                  {"g_loc_mps2", c.g_loc_mps2},
+                  {"T0_degc", c.reference_degc},
+                  {"least_degc", c.least_degc},
+                  {"most_degc", c.most_degc},
+                  {"M",
+                   {{"coefficients", matrix},
+                    {"largest_error", c.largest_error},
+                    {"unit", "m/s2 per response unit / K^n"}}},
+                  {"b", {{"coefficients", bias}, {"unit", "response unit / K^n"}}},
+                  {"outputs", outputs}};
+  return printable_text(json.dump(2)) + "\n";
 }
 
 std::string temperature_constants_csv(const TemperatureConstants& c) {

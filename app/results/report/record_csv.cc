@@ -10,7 +10,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/ground/document/valid_text.h"
+#include "app/ground/system/output.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/record/limits_entries.h"
 
@@ -24,9 +24,7 @@ std::string csv_number(const std::optional<double>& value) {
 
 std::string comment(const std::string& key, const std::string& value) {
   if (value.empty()) return {};
-  std::string line = valid_text(fmt::format("# {}: {}", key, value));
-  std::replace(line.begin(), line.end(), '\n', ' ');
-  return line + "\n";
+  return fmt::format("# {}: {}\n", printable_line(key), printable_line(value));
 }
 
 /// The lines above the header line; keys as in the run file.

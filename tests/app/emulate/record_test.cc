@@ -20,6 +20,7 @@ namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::AllOf;
 using testing::HasSubstr;
 
 class RecordTest : public testing::Test {
@@ -81,6 +82,21 @@ TEST_F(RecordTest, ALogIsNeverOverwrittenAndHalfALastLineIsLeftOut) {
     FAIL() << "a line that is no JSON was accepted";
   } catch (const std::runtime_error& error) {
     EXPECT_THAT(error.what(), HasSubstr("line 4"));
+  }
+}
+
+TEST_F(RecordTest, BytesThatAreNoHexadecimalDigitsAreNamed) {
+  for (const std::string digits : {"4Z", "435"}) {
+    std::filesystem::remove(file);
+    record({"CSV?\n"});
+    std::ofstream(file, std::ios::app) << R"({"t_s": 1.0, "from": "host", "hex": ")" << digits << "\"}\n";
+    try {
+      (void)read_wire_log(file);
+      ADD_FAILURE() << digits << " was accepted";
+    } catch (const std::runtime_error& error) {
+      EXPECT_THAT(error.what(), AllOf(HasSubstr("line 4"), HasSubstr("\"hex\" is \"" + digits + "\""),
+                                      HasSubstr("two hexadecimal digits")));
+    }
   }
 }
 

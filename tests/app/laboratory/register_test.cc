@@ -238,6 +238,31 @@ TEST_P(RegisterTest, ExportsHoldNoSecrets) {
   EXPECT_THAT(refusal([&] { made.export_csv("login"); }), HasSubstr("not exported"));
 }
 
+/// A spreadsheet carries out a cell that begins like a formula.
+TEST_P(RegisterTest, NoCellOfAnExportIsAFormula) {
+  Register made = with_people();
+  const LoggedIn admin = login(made, "Admin N. N.");
+  const std::vector<std::string> names{"=cmd|' /C calc'!A0", "+1+1", "-1+1", "@SUM(1)", "\t=1", "\r=1"};
+  for (const std::string& name : names)
+    made.add_equipment(admin, {name, "Stage", "", "", "-12.5", "angle", {}}, at(3));
+  const std::string csv = made.export_csv("equipment");
+  for (const std::string cell : {"'=cmd|' /C calc'!A0", "'+1+1", "'-1+1", "'@SUM(1)", "'\t=1", "\\u000d=1"})
+    EXPECT_THAT(csv, HasSubstr("\n" + cell + ",Stage,")) << cell;
+  EXPECT_THAT(csv, HasSubstr(",-12.5,")) << "a number stays one";
+}
+
+TEST_P(RegisterTest, AnExportShowsCharactersThatWouldBeObeyed) {
+  Register made = with_people();
+  const std::string name = "Stage \x1b[31m \u202egolana";
+  made.add_equipment(login(made, "Admin N. N."), {name, "Stage", "", "", "1", "angle", {}}, at(3));
+  const std::string csv = made.export_csv("equipment"), json = made.export_json();
+  for (const std::string& text : {csv, json}) {
+    EXPECT_THAT(text, HasSubstr("Stage \\u001b[31m \\u202egolana"));
+    EXPECT_THAT(text, AllOf(Not(HasSubstr("\x1b")), Not(HasSubstr("\u202e"))));
+  }
+  EXPECT_EQ(nlohmann::json::parse(json).at("tables").at("equipment").at(0).at("identity"), name);
+}
+
 TEST_P(RegisterTest, ATrainingRegisterNumbersItsCertificatesApart) {
   NewRegister training = facts();
   training.training = true;

@@ -6,6 +6,7 @@
 
 #include <fstream>
 
+#include "tests/support/failing_disk.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -345,6 +346,31 @@ TEST(RunFileTest, ResultsRefuseARunWhoseBytesHaveChanged) {
   SqliteDatabase database(ResultsFile::path_beside(path), SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select count(*) from analysis"), "2");
   EXPECT_THAT(what([&] { ResultsFile(path, "bbbb"); }), HasSubstr("was changed"));
+}
+
+/// A sound file on a disk that fails to read: once is passed over, and more is not called damage.
+TEST(RunFileTest, AFileThatCannotBeReadIsNotCalledDamaged) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  {
+    RunFile file = RunFile::create(path, header());
+    for (int n = 1; n <= 12; ++n) file.append_dwell(n - 1, dwell(n), kReadings, {1, 2, 3, 4});
+    file.close_complete("2026-03-01T12:00:01.000Z", {});
+  }
+  test::FailingDisk disk;
+  disk.mend();
+  EXPECT_TRUE(RunFile::is_closed(path));
+  const std::size_t reads = disk.calls(test::FailingDisk::Failure::kRead);
+  ASSERT_GT(reads, 10U);
+  for (std::size_t at = 1; at < reads; ++at) {  // The last one reads the state.
+    disk.fail(test::FailingDisk::Failure::kRead, at, false);
+    EXPECT_TRUE(RunFile::is_closed(path)) << "read " << at << " of " << reads;
+    ASSERT_TRUE(disk.failed());
+    disk.fail(test::FailingDisk::Failure::kRead, at, true);
+    const std::string why = what([&] { (void)RunFile::is_closed(path); });
+    EXPECT_THAT(why, testing::Not(HasSubstr("damaged"))) << at;
+    EXPECT_THAT(why, HasSubstr("check its space and condition, then try again")) << at;
+  }
 }
 
 }  // namespace
