@@ -33,6 +33,17 @@ constexpr const char* kDwell =
 constexpr const char* kReadings =
     "select k, u, v, w, skipped, late_ns, temperature_steps from reading where dwell = :dwell order by k";
 
+/// For closing_link().
+constexpr std::array kClosingQueries{
+    "select key, value from meta order by key",
+    "select chain from event order by id desc limit 1",
+    "select id, ended_utc, end_reason from session order by id",
+    "select utc, moment, temperature_degc, humidity_percent, pressure_hpa from environment order by id",
+    "select utc, dwells, dwell_chain, event_chain from seal order by id",
+};
+constexpr const char* kDropsToClose = "select item, position, event from item_drop order by item";
+constexpr const char* kWireToClose = "select role, time_ns, arrival_ns, kind, bytes from wire order by id";
+
 void add_eight_bytes(Sha256& hash, char kind, std::uint64_t bits) {
   std::array<char, 9> bytes{kind};
   for (std::size_t k = 0; k < 8; ++k) bytes[k + 1] = static_cast<char>((bits >> (8U * k)) & 0xFFU);
@@ -97,6 +108,36 @@ std::string head_link(SqliteDatabase& database) {
     add_rows(hash, rows);
   }
   return hash.hexadecimal();
+}
+
+std::string closing_link(SqliteDatabase& database) {
+  Sha256 hash;
+  const auto add = [&](const char* query) {
+    hash.add("\n");
+    SqliteStatement rows = database.prepare(query);
+    add_rows(hash, rows);
+  };
+  for (const char* query : kClosingQueries) add(query);
+  if (database.has_table("item_drop")) add(kDropsToClose);
+  if (database.has_table("wire")) add(kWireToClose);
+  return hash.hexadecimal();
+}
+
+RunLinks run_links(const std::filesystem::path& run) {
+  SqliteDatabase database = open_run_file_unchecked(run, SqliteDatabase::Mode::kReadOnly);
+  RunLinks links;
+  if (run_file_version(database) < 3) return links;
+  links.head = head_link(database);
+  SqliteStatement rows = database.prepare(
+      "select position, experiment, n, item, chain, coalesce(count / (select rate_hz from item where item.k "
+      "= "
+      "dwell.item), 0.0) as reading_time_s from dwell order by id");
+  while (rows.step())
+    links.dwells.push_back({rows.integer("position"), static_cast<int>(rows.integer("experiment")),
+                            static_cast<int>(rows.integer("n")), static_cast<int>(rows.integer("item")),
+                            rows.optional_real("reading_time_s").value_or(0.0), rows.text("chain")});
+  links.closing = closing_link(database);
+  return links;
 }
 
 std::string last_dwell_link(const std::filesystem::path& run) {

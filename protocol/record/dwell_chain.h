@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 #include <variant>
+#include <vector>
 
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
@@ -13,7 +14,7 @@
 namespace abcal {
 
 /// meta `schema` of a run file.
-inline constexpr std::string_view kRunSchemaName = "abcal.run/3";
+inline constexpr std::string_view kRunSchemaName = "abcal.run/4";
 
 /// First link of the chain of dwells: SHA-256, in hexadecimal, over everything stored before the first angle
 /// (facts but state and timing, instruments, items, registers, plan).
@@ -28,6 +29,29 @@ std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string
 /// file of version 2, and before the first angle.
 /// @throws RunFileError if the file is no run file
 std::string last_dwell_link(const std::filesystem::path& run);
+
+/// A stored dwell, as far as its witness is concerned.
+struct LinkedDwell {
+  std::int64_t position = 0;    ///< In the plan.
+  int experiment = 0, n = 0;    ///< 0: a check pose.
+  int item = 1;                 ///< Item of the run, from 1.
+  double reading_time_s = 0.0;  ///< Number of readings over the rate of the item; 0: the rate is not known.
+  std::string link;
+};
+
+/// The links of a run file of version 3 or later.
+struct RunLinks {
+  std::string head;  ///< head_link(): identifies the run.
+  std::vector<LinkedDwell> dwells;
+  std::string closing;  ///< closing_link().
+};
+/// @throws RunFileError if the file is no run file
+RunLinks run_links(const std::filesystem::path& run);
+
+/// SHA-256, in hexadecimal, over everything that no link of a dwell covers: all facts with state and timing,
+/// the last link of the events, ends of sessions, conditions of the room, dropped items, the seal, and the
+/// recording of the wire.
+std::string closing_link(SqliteDatabase& database);
 
 /// A reading as its row holds it, without the dwell.
 struct ReadingRow {

@@ -17,6 +17,7 @@
 
 #include "protocol/plan/run_config.h"
 #include "protocol/record/clock_watch.h"
+#include "protocol/record/dwell_chain.h"
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/run_header.h"
 #include "protocol/record/run_schema.h"
@@ -287,9 +288,18 @@ struct RunFile::Impl {
     DwellWriter writer(database, times);
     write(writer);
     set_timing(database, timing);
-    append_wire();
+    append_waiting();
     transaction.commit();
-    wire_is_stored();
+    waiting_is_stored();
+    if (ask_witness) {
+      const std::string before = std::exchange(last_link, read_last_link());
+      ask_witness(before, last_link);
+    }
+  }
+
+  std::string read_last_link() {
+    const auto link = database.value("select chain from dwell order by id desc limit 1");
+    return link ? *link : head_link(database);
   }
 
   /// The session under way; one without any clock where none was begun.
@@ -311,11 +321,23 @@ struct RunFile::Impl {
           .set("id", session->session)
           .run();
     }
-    append_wire();
+    append_waiting();
   }
 
-  /// Inside a transaction: writes new lines of the transcript. They are kept until wire_is_stored(), in case
-  /// the transaction fails.
+  /// Inside a transaction: writes new lines of the transcript, and new statements of the witness. They are
+  /// kept until waiting_is_stored(), in case the transaction fails.
+  void append_waiting() {
+    append_wire();
+    if (!take_witnessed) return;
+    for (WitnessedLine& row : take_witnessed()) witnessed_waiting.push_back(std::move(row));
+    for (const WitnessedLine& row : witnessed_waiting) write_witnessed(row);
+  }
+  void write_witnessed(const WitnessedLine& row) {
+    database.prepare("insert into witness(line, signature) values(?, ?)")
+        .bind(1, std::string_view(row.line))
+        .bind_blob(2, row.signature)
+        .run();
+  }
   void append_wire() {
     if (!take_wire) return;
     for (WireRow& row : take_wire()) wire_waiting.push_back(std::move(row));
@@ -333,10 +355,17 @@ struct RunFile::Impl {
     }
   }
   /// After the commit.
-  void wire_is_stored() { wire_waiting.clear(); }
+  void waiting_is_stored() {
+    wire_waiting.clear();
+    witnessed_waiting.clear();
+  }
 
   std::function<std::vector<WireRow>()> take_wire;
   std::vector<WireRow> wire_waiting;
+  std::function<void(const std::string& before, const std::string& link)> ask_witness;
+  std::function<std::vector<WitnessedLine>()> take_witnessed;
+  std::vector<WitnessedLine> witnessed_waiting;
+  std::string last_link;  ///< Known while there is a witness.
   std::filesystem::path path;
   bool repeatable = false;                        ///< As in SessionStart.
   std::optional<SessionTimes> session;            ///< The present session.
@@ -405,6 +434,17 @@ RunFile RunFile::open_for_append(const std::filesystem::path& path) {
   return RunFile(std::move(impl));
 }
 
+RunFile RunFile::open_to_close(const std::filesystem::path& path) {
+  {
+    SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+    const auto state = database.value("select value from meta where key='state'");
+    if (state != to_string(RunState::kComplete))
+      throw RunFileError(fmt::format("{}: this run is {}; required: a run whose angles are all measured",
+                                     path.string(), state.value_or("without a state")));
+  }
+  return RunFile(std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)));
+}
+
 void RunFile::begin_session(const SessionStart& start) {
   Transaction transaction(impl_->database);
   Continuation next{SessionTimes{1, 0, start.utc}, std::nullopt};
@@ -443,9 +483,41 @@ void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<Wi
   impl_->database.execute(kWireSchema);
   set_meta(impl_->database, kWireStart, std::to_string(start.time_since_epoch().count()));
   impl_->take_wire = std::move(take);
-  impl_->append_wire();
+  impl_->append_waiting();
   transaction.commit();
-  impl_->wire_is_stored();
+  impl_->waiting_is_stored();
+}
+
+void RunFile::keep_witness(std::function<void(const std::string&, const std::string&)> ask,
+                           std::function<std::vector<WitnessedLine>()> take) {
+  impl_->ask_witness = std::move(ask);
+  impl_->take_witnessed = std::move(take);
+  impl_->last_link = impl_->read_last_link();
+}
+
+void RunFile::append_witness(const WitnessedLine& row) {
+  impl_->write_witnessed(row);
+}
+
+std::string RunFile::head() {
+  return head_link(impl_->database);
+}
+
+std::string RunFile::last_link() {
+  return impl_->read_last_link();
+}
+
+std::string RunFile::closing() {
+  return closing_link(impl_->database);
+}
+
+std::vector<WitnessedLine> RunFile::witnessed(const std::filesystem::path& path) {
+  SqliteDatabase database = open_run_file_unchecked(path, SqliteDatabase::Mode::kReadOnly);
+  std::vector<WitnessedLine> rows;
+  if (!database.has_table("witness")) return rows;
+  SqliteStatement statement = database.prepare("select line, signature from witness order by id");
+  while (statement.step()) rows.push_back({statement.text(0), statement.blob(1)});
+  return rows;
 }
 
 void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
@@ -500,7 +572,7 @@ void RunFile::set_state(RunState state, const std::string& utc, std::string_view
   Transaction transaction(impl_->database);
   impl_->write_state(state, utc, why);
   transaction.commit();
-  impl_->wire_is_stored();
+  impl_->waiting_is_stored();
 }
 
 bool RunFile::wait_for_readers(int failures) {
@@ -521,7 +593,7 @@ void RunFile::complete(const std::string& utc, const RunTiming& timing) {
       .set("utc", utc)
       .run();
   transaction.commit();
-  impl_->wire_is_stored();
+  impl_->waiting_is_stored();
 }
 
 std::string RunFile::close_complete(const std::string& utc, const RunTiming& timing,
@@ -565,8 +637,7 @@ std::string RunFile::finish_closing(const std::filesystem::path& path, const Try
     make_read_only(path);
     return sha256_of_file(path);
   }
-  RunFile file(std::make_unique<Impl>(path, open_run_file(path, SqliteDatabase::Mode::kReadWrite)));
-  if (auto hash = file.close(try_again)) return *std::move(hash);
+  if (auto hash = open_to_close(path).close(try_again)) return *std::move(hash);
   throw RunFileError(path.string() +
                      ": the run is complete, but the file cannot be closed because another program keeps the "
                      "file open: end that program, then close and analyse the run with `abcal resume`");

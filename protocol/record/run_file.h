@@ -16,6 +16,7 @@
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_record.h"
 #include "protocol/record/sqlite.h"
+#include "protocol/record/witnessed_line.h"
 
 namespace abcal {
 
@@ -234,6 +235,10 @@ class RunFile {
   /// another run.
   static RunFile open_for_append(const std::filesystem::path& path);
 
+  /// Opens a run that is complete, but whose program was killed before it had closed it.
+  /// @throws RunFileError also for a run in another state
+  static RunFile open_to_close(const std::filesystem::path& path);
+
   /// Reads a run in any state, for one of its items.
   static StoredRun load(const std::filesystem::path& path, int item = 1);
 
@@ -274,6 +279,23 @@ class RunFile {
   /// Keeps a transcript from now on. The rows from `take` (all since its last call) are written at once, with
   /// each angle, and with each change of state.
   void keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take);
+
+  /// Has every angle witnessed from now on. @param ask  called after the commit of an angle with the link
+  /// before it and its last link; must not block. @param take  statements since its last call; they are
+  /// stored with the next angle and with each change of state
+  void keep_witness(std::function<void(const std::string& before, const std::string& link)> ask,
+                    std::function<std::vector<WitnessedLine>()> take);
+  /// Stores a statement of the witness.
+  void append_witness(const WitnessedLine& row);
+  /// head_link() of the run, which identifies it.
+  std::string head();
+  /// The last link of the dwells; head() before the first angle.
+  std::string last_link();
+  /// closing_link() of a run that is complete.
+  std::string closing();
+  /// All statements of the witness about a run, in the order of their arrival; none in files of before
+  /// version 4.
+  static std::vector<WitnessedLine> witnessed(const std::filesystem::path& path);
 
   /// Commits one angle with its readings and the time spent so far; on return it is on the disk. Angles of a
   /// repeatable session survive the end of the program at once, and a failure of the computer from the next

@@ -62,6 +62,11 @@ create view timed_reading as
   from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session;
 )";
 
+/// New in version 4.
+constexpr const char* kTablesOfVersion4 = R"(
+create table witness(id integer primary key, line text not null, signature blob not null);
+)";
+
 /// A program that was killed may leave a change half made, which a read-only connection cannot take back.
 void recover(const std::filesystem::path& path) {
   std::error_code ignored;
@@ -69,9 +74,9 @@ void recover(const std::filesystem::path& path) {
   SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).value("pragma schema_version");
 }
 
-void mark_version(SqliteDatabase& database) {
-  database.execute(fmt::format("pragma application_id={}; pragma user_version={};", kRunFileApplicationId,
-                               kRunFileVersion));
+void mark_version(SqliteDatabase& database, std::int64_t version) {
+  database.execute(
+      fmt::format("pragma application_id={}; pragma user_version={};", kRunFileApplicationId, version));
 }
 
 std::string meta_value(SqliteDatabase& database, const std::string& key) {
@@ -83,9 +88,10 @@ std::string meta_value(SqliteDatabase& database, const std::string& key) {
 }  // namespace
 
 void create_run_schema(SqliteDatabase& database) {
-  mark_version(database);
+  mark_version(database, kRunFileVersion);
   database.execute(kTablesOfVersion2);
   database.execute(kTablesOfVersion3);
+  database.execute(kTablesOfVersion4);
 }
 
 std::int64_t run_file_version(SqliteDatabase& database) {
@@ -171,24 +177,23 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path) {
   const std::int64_t version = run_file_version(database);
   if (version == kRunFileVersion) return;
-  if (version != 2) {
+  if (version < 2) {
     throw RunFileError(
-        fmt::format("{}: was begun with run file version {}; this program can resume versions 2 and {}: "
+        fmt::format("{}: was begun with run file version {}; this program can resume versions 2 to {}: "
                     "finish it with the version of abcal that began it",
                     path.string(), version, kRunFileVersion));
   }
   Transaction transaction(database);
-  upgrade_run_schema_2_to_3(database);
+  if (version < 3) upgrade_run_schema_2_to_3(database);
+  upgrade_run_schema_3_to_4(database);
   transaction.commit();
 }
 
 void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
   database.execute("alter table dwell rename to dwell_2; alter table reading rename to reading_2;");
   database.execute(kTablesOfVersion3);
-  mark_version(database);
-  database.prepare("insert or replace into meta(key, value) values('schema', :schema)")
-      .set("schema", kRunSchemaName)
-      .run();
+  mark_version(database, 3);
+  database.execute("insert or replace into meta(key, value) values('schema', 'abcal.run/3')");
   database
       .prepare(
           "insert into item(k, maker, model, serial_number, response_unit) values(1, :maker, :model, "
@@ -214,6 +219,11 @@ void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
   }
   ids.reset();
   database.execute("drop table reading_2; drop table dwell_2;");
+}
+
+void upgrade_run_schema_3_to_4(SqliteDatabase& database) {
+  database.execute(kTablesOfVersion4);
+  mark_version(database, 4);
 }
 
 }  // namespace abcal

@@ -10,8 +10,9 @@
 namespace abcal {
 
 inline constexpr std::int64_t kRunFileApplicationId = 0x4142434C;  // "ABCL"
-/// 1: the first; 2: events are chained and say who; 3: sessions, items, roles, compact and chained readings.
-inline constexpr std::int64_t kRunFileVersion = 3;
+/// 1: the first; 2: events are chained and say who; 3: sessions, items, roles, compact and chained readings;
+/// 4: the witness.
+inline constexpr std::int64_t kRunFileVersion = 4;
 
 /// Makes the tables and views of the present version in an empty file, and marks it as a run file.
 void create_run_schema(SqliteDatabase& database);
@@ -39,5 +40,8 @@ void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& p
 /// The step from version 2 to 3, within a transaction. The dwells become those of one session, with the times
 /// that version 2 gave them: pauses between its sessions are not in them.
 void upgrade_run_schema_2_to_3(SqliteDatabase& database);
+
+/// The step from version 3 to 4, within a transaction. The links stay valid: meta `schema` stays as it was.
+void upgrade_run_schema_3_to_4(SqliteDatabase& database);
 
 }  // namespace abcal

@@ -1,7 +1,6 @@
 #include "protocol/record/run_seal.h"
 
 #include "protocol/record/results_file.h"
-#include "protocol/record/signature.h"
 #include "protocol/record/sqlite.h"
 
 namespace abcal {
@@ -28,19 +27,6 @@ RunSeal read_seal(const std::filesystem::path& run_path) {
   SqliteStatement row = database.prepare("select signer, signature, time_stamp from run");
   if (!row.step()) return {};
   return {row.text(0), row.blob(1), row.blob(2)};
-}
-
-void sign_run(const std::filesystem::path& run_path, const std::string& bench,
-              const std::string& private_pem) {
-  SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadWrite);
-  Transaction transaction(database);
-  if (!database.value("select signer from run").value_or("").empty()) return;
-  const std::string sha256 = database.value("select sha256 from run").value_or("");
-  SqliteStatement row = database.prepare("update run set signer = :signer, signature = :signature");
-  row.set("signer", std::string_view(bench + "\n" + public_key_of(private_pem)));
-  row.bind_blob(2, sign(statement_of_run(sha256), private_pem));
-  row.run();
-  transaction.commit();
 }
 
 bool keep_time_stamp(const std::filesystem::path& run_path, const std::string& token) {

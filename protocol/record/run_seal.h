@@ -6,7 +6,8 @@
 
 namespace abcal {
 
-/// Signature of the hash of a closed run, and the time stamp of an authority. Empty: not signed, not stamped.
+/// Signature of the hash of a closed run (of version 1.0; later ones have a witness), and the time stamp of
+/// an authority. Empty: not signed, not stamped.
 struct RunSeal {
   std::string signer;      ///< Name of the bench, and its public key (PEM) from the next line on.
   std::string signature;   ///< Ed25519, of statement_of_run().
@@ -23,10 +24,6 @@ struct RunSeal {
 
 /// Signature and time stamp of a run; empty if there are none, or no results.
 RunSeal read_seal(const std::filesystem::path& run_path);
-
-/// Keeps the signature of the run's hash by the bench's key (PEM). One that is there stays.
-void sign_run(const std::filesystem::path& run_path, const std::string& bench,
-              const std::string& private_pem);
 
 /// Keeps a time stamp of the run's hash. One that is there stays: it is the earlier one.
 /// @return false: there was one

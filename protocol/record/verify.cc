@@ -48,18 +48,18 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
 /// Follows the chain of the dwells and compares its end, and that of the event log, with the sealed values.
 IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
   const std::string what = "dwells";
-  SqliteStatement rows = database.prepare("select id, chain from dwell order by id");
+  SqliteStatement rows = database.prepare("select id, chain, experiment, n from dwell order by id");
   std::string link = head_link(database);
   std::int64_t count = 0;
   while (rows.step()) {
     ++count;
     link = dwell_link(database, rows.integer("id"), link);
     if (link != rows.text("chain"))
-      return {
-          what, false,
-          fmt::format(
-              "dwell {} or its readings, an earlier dwell, or the data before the first angle were changed",
-              count)};
+      return {what, false,
+              fmt::format("dwell {} (experiment {}, n = {}) or its readings, an earlier dwell, or the data "
+                          "before the first "
+                          "angle were changed",
+                          count, rows.integer("experiment"), rows.integer("n"))};
   }
   if (!complete) return {what, true, fmt::format("{}, each linked to the previous one", count)};
   SqliteStatement seal = database.prepare("select * from seal order by id desc limit 1");
@@ -195,7 +195,8 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
     }
     const std::string differs = contradiction(stated_dwell(rows), dwell.readings, item);
     if (!differs.empty())
-      wrong = fmt::format("dwell {}: its {} does not follow from its readings", dwells, differs);
+      wrong = fmt::format("dwell {} (experiment {}, n = {}): its {} does not follow from its readings",
+                          dwells, dwell.experiment, dwell.n, differs);
   });
   if (!wrong.empty()) return {what, false, wrong};
   return {what, true,
@@ -265,14 +266,12 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
 
 }  // namespace
 
-std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
-  std::vector<IntegrityCheck> checks;
-  // Opens, has the right schema and passes SQLite's own check, or throws.
-  const StoredRun stored = RunFile::load(run);
+namespace {
+
+/// The checks of the measurements themselves, which a run that is not closed passes as well.
+void check_measurements(const std::filesystem::path& run, const StoredRun& stored,
+                        std::vector<IntegrityCheck>& checks) {
   const bool complete = stored.state == RunState::kComplete;
-  checks.push_back({"state", complete,
-                    complete ? "complete and closed"
-                             : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
   // The two checks that read every reading of the run work in parallel.
   std::future<IntegrityCheck> statements =
       std::async(std::launch::async, [&] { return check_statements(run, stored); });
@@ -283,6 +282,32 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
     if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
   }
   checks.push_back(statements.get());
+}
+
+}  // namespace
+
+void require_unchanged(const std::filesystem::path& run) {
+  std::vector<IntegrityCheck> checks;
+  check_measurements(run, RunFile::load(run), checks);
+  std::string found;
+  for (const IntegrityCheck& check : checks)
+    if (!check.good) found += fmt::format("{}{}: {}", found.empty() ? "" : "; ", check.what, check.found);
+  if (found.empty()) return;
+  throw RunFileError(
+      fmt::format("{}: the file was changed or is damaged: {}. It is not continued; restore it from a copy, "
+                  "or measure again",
+                  run.string(), found));
+}
+
+std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
+  std::vector<IntegrityCheck> checks;
+  // Opens, has the right schema and passes SQLite's own check, or throws.
+  const StoredRun stored = RunFile::load(run);
+  const bool complete = stored.state == RunState::kComplete;
+  checks.push_back({"state", complete,
+                    complete ? "complete and closed"
+                             : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
+  check_measurements(run, stored, checks);
   if (complete) check_results(run, stored.items.size(), checks);
   return checks;
 }

@@ -22,6 +22,11 @@ struct IntegrityCheck {
 /// @throws RunFileError if the file is no run file at all.
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run);
 
+/// Checks a run that is to be continued or closed: its chains, and that its means, spreads, standard
+/// uncertainties and flags follow from its readings.
+/// @throws RunFileError that names what was changed, with the angle
+void require_unchanged(const std::filesystem::path& run);
+
 /// Statements that the checks of verify_run() attest if all are good, and statements that they cannot attest.
 std::string attested_by(const std::filesystem::path& run);
 

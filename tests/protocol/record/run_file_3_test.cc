@@ -155,8 +155,8 @@ class RunFile3Test : public testing::Test {
 
 TEST_F(RunFile3Test, NamesItsSchemaAndVersion) {
   { RunFile::create(path, plan_of_two()); }
-  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/3");
-  EXPECT_EQ(reader().value("pragma user_version"), "3");
+  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/4");
+  EXPECT_EQ(reader().value("pragma user_version"), "4");
 }
 
 TEST_F(RunFile3Test, APauseIsInTheTimesOfTheRun) {

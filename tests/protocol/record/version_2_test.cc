@@ -80,7 +80,7 @@ TEST_F(Version2Test, AChangedReadingContradictsItsDwell) {
       .execute("update reading set u = u + 1e-7 where dwell = 5 and k = 3");
   for (const IntegrityCheck& check : verify_run(path)) {
     if (check.what == "readings") {
-      EXPECT_THAT(check.found, HasSubstr("dwell 5: its mean"));
+      EXPECT_THAT(check.found, HasSubstr("dwell 5 (experiment 1, n = 5): its mean"));
     }
     EXPECT_EQ(check.good, check.what != "readings" && check.what != "SHA-256") << check.what;
   }
