@@ -8,6 +8,7 @@
 #include <string>
 #include <string_view>
 
+#include "app/ground/system/boot_clock.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/version.h"

@@ -17,7 +17,7 @@ endif()
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
 # Where abcal looks for them (app/ground/system/helper_program.cc).
-install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-transfer abcal-pdf abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-transfer abcal-pdf abcal-sign abcal-witness RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/schemas DESTINATION ${CMAKE_INSTALL_DATADIR}/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
@@ -46,16 +46,17 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples/cpp DESTINATION ${CMAKE_IN
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT doc
   PATTERN "examples/cpp" EXCLUDE PATTERN ".*" EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
-# The services name the program by its path, which only the installation knows (cmake --install --prefix).
+# The services name the programs by their paths, which only the installation knows (cmake --install --prefix).
 install(CODE "
   set(ABCAL_PROGRAM_PATH \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR}/abcal\")
+  set(ABCAL_HELPER_PATH \"\${CMAKE_INSTALL_PREFIX}/libexec/abcal\")
   file(READ \"${PROJECT_SOURCE_DIR}/cmake/packaging/hardening.conf\" ABCAL_SERVICE_HARDENING)
-  foreach(service abcal-bench abcal-console)
+  foreach(service abcal-bench abcal-console abcal-witness)
     configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/\${service}.service.in\"
       \"${PROJECT_BINARY_DIR}/packaging/\${service}.service\" @ONLY)
   endforeach()" COMPONENT abcal)
 install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-bench.service ${PROJECT_BINARY_DIR}/packaging/abcal-console.service
-  DESTINATION lib/systemd/system COMPONENT abcal)
+  ${PROJECT_BINARY_DIR}/packaging/abcal-witness.service DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
 set(library_targets abcal_instrument abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_estimators)

@@ -20,7 +20,8 @@ contents "$library" >"$work/library.list"
 for file in usr/bin/abcal usr/libexec/abcal/abcal-hdf5 usr/libexec/abcal/abcal-mat usr/libexec/abcal/abcal-transfer usr/libexec/abcal/abcal-pdf usr/libexec/abcal/abcal-sign usr/share/abcal/schemas/v3.3.0/dcc.xsd usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
     usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
     usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
-    usr/lib/systemd/system/abcal-bench.service usr/libexec/abcal/abcal-guard \
+    usr/lib/systemd/system/abcal-bench.service usr/lib/systemd/system/abcal-witness.service \
+    usr/libexec/abcal/abcal-guard usr/libexec/abcal/abcal-witness \
     usr/share/doc/abcal/copyright \
     usr/share/doc/abcal/changelog.gz usr/share/doc/abcal/changelog.Debian.gz; do
   grep -qx "./$file" "$work/program.list" || fail "the package abcal has no $file"
@@ -57,9 +58,10 @@ dpkg-deb -x "$program" "$work/root"
 dpkg-deb -x "$pages" "$work/root"
 services=$work/root/usr/lib/systemd/system
 grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' "$services/abcal-console.service" || fail "the service starts another program"
+grep -q '^ExecStart=/usr/libexec/abcal/abcal-witness ' "$services/abcal-witness.service" || fail "the witness is started from another place"
 # The exposure of the services to attacks: systemd's figure, 0 to 10.
 if command -v systemd-analyze >/dev/null; then
-  for service in abcal-bench abcal-console; do
+  for service in abcal-bench abcal-console abcal-witness; do
     systemd-analyze security --offline=true --threshold=20 --no-pager "$services/$service.service" >"$work/exposure" ||
       fail "$service.service: $(tail -1 "$work/exposure"); required: at most 2.0"
   done

@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$1"
 failed=0
-for program in abcal-guard abcal-hdf5 abcal-mat abcal-mpi abcal-pdf abcal-sign abcal-transfer; do
+for program in abcal-guard abcal-hdf5 abcal-mat abcal-mpi abcal-pdf abcal-sign abcal-transfer abcal-witness; do
   [ -e "$program" ] || continue  # MPI may be absent.
   symbols=$(nm -C --defined-only "$program")
   most=1500000  # bytes

@@ -20,6 +20,7 @@
 #include <sstream>
 #include <utility>
 
+#include "app/ground/system/descriptor.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/last_signal.h"
 #include "protocol/record/run_interrupted.h"
@@ -46,23 +47,6 @@ std::optional<std::string> find_program(const Tool& tool) {
   }
   return std::nullopt;
 }
-
-/// A descriptor that is closed.
-class Descriptor {
- public:
-  explicit Descriptor(int number = -1) : number_(number) {}
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  ~Descriptor() { close(); }
-  int number() const { return number_; }
-  void close() {
-    if (number_ >= 0) ::close(number_);
-    number_ = -1;
-  }
-
- private:
-  int number_;
-};
 
 /// Descriptors of a program.
 struct ChildStreams {

@@ -67,12 +67,12 @@ pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments
   return child;
 }
 
-ConnectedProcess start_connected(const Tool& tool) {
+ConnectedProcess start_connected(const Tool& tool, const std::vector<std::string>& arguments) {
   std::array<int, 2> ends{};
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
     throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
   try {
-    const pid_t process = start_detached(tool, {}, ends[1]);
+    const pid_t process = start_detached(tool, arguments, ends[1]);
     ::close(ends[1]);
     return {ends[0], process};
   } catch (...) {

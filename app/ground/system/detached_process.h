@@ -23,6 +23,6 @@ struct ConnectedProcess {
 
 /// start_detached() with the other end of a socket as the program's descriptor.
 /// @throws ProgramMissing, std::runtime_error
-ConnectedProcess start_connected(const Tool& tool);
+ConnectedProcess start_connected(const Tool& tool, const std::vector<std::string>& arguments = {});
 
 }  // namespace abcal

@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include <cstdint>
-#include <cstdlib>
 #include <fstream>
 #include <map>
 #include <utility>
@@ -89,26 +88,16 @@ void GuardLog::sync(const std::stop_token& end) {
   }
 }
 
-std::filesystem::path state_folder() {
-  const auto value = [](const char* name) {
-    const char* text = std::getenv(name);
-    return std::string(text == nullptr ? "" : text);
-  };
-  // A service may have several, divided by colons.
-  if (const std::string service = value("STATE_DIRECTORY"); !service.empty())
-    return service.substr(0, service.find(':'));
-  if (const std::string state = value("XDG_STATE_HOME"); !state.empty())
-    return std::filesystem::path(state) / "abcal";
-  const std::string home = value("HOME");
-  return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".local/state/abcal";
-}
-
 namespace {
 
 bool is_running_guard(pid_t process) {
-  std::ifstream file(fmt::format("/proc/{}/comm", process));
-  std::string name;
-  return std::getline(file, name) && name == "abcal-guard";
+  std::ifstream file(fmt::format("/proc/{}/stat", process));
+  std::string text;
+  std::getline(file, text);
+  const std::size_t end = text.find("(abcal-guard) ");
+  constexpr std::size_t kState =
+      14;  // After the name. Z: it has ended, and nobody has asked for its end yet.
+  return end != std::string::npos && text.size() > end + kState && text[end + kState] != 'Z';
 }
 
 }  // namespace

@@ -48,10 +48,6 @@ class GuardLog {
   std::jthread writer_;       ///< Last: it ends before the members that it uses.
 };
 
-/// Folder for the logs of this user: STATE_DIRECTORY of a service, otherwise XDG_STATE_HOME/abcal or
-/// ~/.local/state/abcal. Empty: none of them is known.
-std::filesystem::path state_folder();
-
 /// The end of the latest session in a log that did not end in order, in words for a person: who moved the
 /// bench, and how it was halted, or that an axis was moving when program and guard ended together. Nothing
 /// where the latest one ended in order, still goes on, or there is no log.

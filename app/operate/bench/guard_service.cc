@@ -5,7 +5,6 @@
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
-#include <time.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -57,12 +56,6 @@ bool is_held_after_death(const wire::PortHeld& held, const std::filesystem::path
 }
 
 }  // namespace
-
-Clock::Duration uptime() {
-  timespec time{};
-  ::clock_gettime(CLOCK_BOOTTIME, &time);
-  return std::chrono::seconds(time.tv_sec) + std::chrono::nanoseconds(time.tv_nsec);
-}
 
 GuardService::GuardService(Clock& clock, Options options)
     : clock_(clock),

@@ -99,7 +99,4 @@ class GuardService {
   std::map<std::string, std::unique_ptr<GuardedConnection>> connections_;  ///< By PortRequest::name.
 };
 
-/// Time since boot with the time in suspension (CLOCK_BOOTTIME).
-Clock::Duration uptime();
-
 }  // namespace abcal

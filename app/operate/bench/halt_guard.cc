@@ -22,6 +22,7 @@
 #include "app/ground/system/detached_process.h"
 #include "app/ground/system/helper_program.h"
 #include "app/ground/system/output.h"
+#include "app/ground/system/state_folder.h"
 #include "app/operate/bench/guard_log.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/halt_recipe.h"

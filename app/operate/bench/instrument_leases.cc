@@ -10,6 +10,9 @@
 namespace abcal {
 namespace {
 
+/// Simulators of others count their instruments: "1" is the number of many.
+constexpr std::size_t kShortestIdentity = 4;
+
 class LeasedAccelerometer final : public Accelerometer {
  public:
   LeasedAccelerometer(std::unique_ptr<Accelerometer> accelerometer, std::string driver, std::string holder)
@@ -44,7 +47,8 @@ std::vector<std::string> resources_of_instrument(const std::string& driver, cons
                                                  const std::string& model, const std::string& serial_number) {
   std::vector<std::string> resources;
   for (const std::string& number : single_serial_numbers(serial_number))
-    if (is_serial_number_reported(number) && !is_emulated_serial_number(number, driver))
+    if (number.size() >= kShortestIdentity && is_serial_number_reported(number) &&
+        !is_emulated_serial_number(number, driver))
       resources.push_back(wire::Lease::of_instrument(maker, model, number));
   return resources;
 }

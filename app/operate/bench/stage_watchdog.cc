@@ -24,6 +24,11 @@ void MotionWatch::told_to_move(StageAxis axis, Clock::Instant now) {
   heard_ = now;
 }
 
+void MotionWatch::look(Clock::Instant now) {
+  if (looked_ && now - *looked_ > patience_ / 2) heard_ = now;
+  looked_ = now;
+}
+
 bool MotionWatch::overdue(Clock::Instant now) const {
   return (moving_[0] || moving_[1]) && now - heard_ > patience_;
 }
@@ -41,6 +46,7 @@ StageWatchdog::~StageWatchdog() = default;
 void StageWatchdog::watch(const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
   while (!wake_.wait_for(lock, stop, patience_ / 10, [&] { return stop.stop_requested(); })) {
+    motion_.look(clock_.now());
     if (!motion_.overdue(clock_.now())) continue;
     motion_.forget();
     halted_because_ = fmt::format(

@@ -25,6 +25,11 @@ class MotionWatch {
   void stands_still(StageAxis axis) { moving_[index(axis)] = false; }
   void forget() { moving_ = {}; }
 
+  /// To be called regularly, before overdue(). A pause of more than half the patience between two calls shows
+  /// that this program stood still, as in a frozen container, and could hear nothing: silence counts from the
+  /// end of the pause on. (The guard halts a stage whose program stands still.)
+  void look(Clock::Instant now);
+
   /// Whether it may be moving and has not answered for longer than the patience.
   bool overdue(Clock::Instant now) const;
 
@@ -32,6 +37,7 @@ class MotionWatch {
   Clock::Duration patience_;
   std::array<bool, 2> moving_{};
   Clock::Instant heard_;
+  std::optional<Clock::Instant> looked_;
 };
 
 /// A stage under a watchdog: if it may be moving and the controller has not answered for `patience` (it is
