@@ -17,10 +17,9 @@
 #include "app/operate/session/level_plan.h"
 #include "app/operate/session/replay_comparison.h"
 #include "app/operate/session/session_observer.h"
-#include "app/operate/session/signing_key.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/run_label.h"
-#include "protocol/record/run_seal.h"
+#include "protocol/record/verify.h"
 
 namespace abcal {
 namespace {
@@ -65,13 +64,8 @@ class Announcement {
 };
 
 /// Keeps the analyses of a run that is closed in its results file.
-/// @param closed_now  The run is signed as well, if the bench has a key.
-void keep_analyses(const MeasuredRun& run, RunAnalyst* analyst, const std::string& utc, bool closed_now) {
+void keep_analyses(const MeasuredRun& run, RunAnalyst* analyst, const std::string& utc) {
   ResultsFile results_file(run.path, run.sha256);
-  if (const std::string key = read_signing_key(); closed_now && !key.empty()) {
-    const std::string name = label_of(run.stored().header.labels, "bench.name");
-    sign_run(run.path, name.empty() ? "bench" : name, key);
-  }
   if (analyst != nullptr && !run.is_levelling()) analyst->keep(results_file, run, utc);
 }
 
@@ -207,7 +201,8 @@ bool MeasuredRun::is_levelling() const {
   return !has_experiments(stored().header.plan);
 }
 
-std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst) {
+std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst,
+                                               RunWitness* witness) {
   std::error_code ignored;
   if (!std::filesystem::exists(path, ignored)) return std::nullopt;
   const StoredRun stored = RunFile::load(path);
@@ -218,6 +213,11 @@ std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path
   if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= expected) {
     return std::nullopt;
   }
+  if (!was_closed) {
+    require_unchanged(path);
+    RunFile file = RunFile::open_to_close(path);
+    if (witness != nullptr) witness->finish(file);
+  }
   FinishedRun finished{load_measured(path), {}};
   MeasuredRun& run = finished.run;
   run.measured_before = true;
@@ -225,8 +225,16 @@ std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path
   Announcement announcement(run, analyst);
   run.sha256 = RunFile::finish_closing(path, announcement.before_waiting());
   announcement.announce();
-  keep_analyses(run, analyst, format_utc(RealClock().utc_now()), !was_closed);
+  keep_analyses(run, analyst, format_utc(RealClock().utc_now()));
   return finished;
+}
+
+std::unique_ptr<RunWitness> find_witness(const MeasuringSession::Options& options) {
+  const SessionListener listener = options.listener;
+  return std::make_unique<RunWitness>(options.find_witness ? options.find_witness() : WitnessClient::find(),
+                                      [listener](const std::string& text) {
+                                        if (listener) listener(NoticeEvent{"witness", text});
+                                      });
 }
 
 /// The instruments of a bench file, their identities and the plan.
@@ -369,12 +377,13 @@ void MeasuringSession::ask_corrections_again() {
 
 MeasuredRun MeasuringSession::run_plan(const StartRequest& request, Planner planner) {
   RegisteredStart registered = find_operator(request.bench.operator_name);
-  (void)read_signing_key();  // A key that cannot be read is reported before the first move.
+  witness_ = find_witness(options_);  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
   if (!request.without_missing_items) require_all_items(opened_->identities);
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
+  have_witnessed(file);
   notifier_ = notifier_of(opened_->config);
   notify_begun(*opened_, request.run_file, nullptr);
   MeasuredRun outcome = measure_and_finish(std::move(file), {});
@@ -498,11 +507,16 @@ void MeasuringSession::notify_begun(const OpenedBench& opened, const std::filesy
 
 MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
   const std::filesystem::path path = request.run_file;
-  if (std::optional<FinishedRun> finished = finish_measured_run(path, options_.analyst.get())) {
+  // The person who resumes a run need not be the one who began it.
+  RegisteredStart registered = find_operator({});
+  witness_ = find_witness(options_);
+  if (std::optional<FinishedRun> finished =
+          finish_measured_run(path, options_.analyst.get(), witness_.get())) {
     notify(finished_event(finished->run, finished->conclusion));
     notify_charts(finished->run);
     return std::move(finished->run);
   }
+  require_unchanged(path);
   RunFile file = RunFile::open_for_append(path);
   const std::vector<StoredRun> of_items = load_items_in_run(path);
   const StoredRun& stored = of_items.front();
@@ -513,10 +527,7 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
   const bool is_open = opened_ && opened_->identified && !transcript_ && !config.has_several_items() &&
                        opened_->config.is_same_bench(config);
   transcript_.reset();
-  // The person who resumes a run need not be the one who began it.
-  RegisteredStart registered = find_operator({});
   if (!registered.who.verified()) registered.who.name = config.operator_name;
-  (void)read_signing_key();
   OpenedBench& opened = is_open ? *opened_ : open(config, {});
   opened.registered = registered;
   if (!is_open) opened.identities = identify(opened.bench, opened.config);
@@ -528,6 +539,7 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
+  have_witnessed(file);
   notifier_ = notifier_of(config);
   notify_begun(opened, path, &stored);
   drop_missing_items(file, stored.measured.size());
@@ -581,8 +593,15 @@ void MeasuringSession::close_and_keep(RunFile file, MeasuredRun& run, const std:
   run.sha256 = *sha256;
   if (announcement.is_made()) warn("closing", fmt::format("{} is closed now: SHA-256 {}", path, *sha256));
   announcement.announce();
-  keep_analyses(run, options_.analyst.get(), utc, true);
+  keep_analyses(run, options_.analyst.get(), utc);
   if (const auto why = stamp_if_configured(run.path)) warn("time stamp", *why);
+}
+
+/// The angles of a run that begins or goes on are witnessed from now on.
+void MeasuringSession::have_witnessed(RunFile& file) {
+  const std::string& bench = opened_->config.name;
+  witness_->begin(file, bench.empty() ? "bench" : bench, opened_->registered.who.name,
+                  opened_->bench.simulated_time);
 }
 
 /// @param stated  [operator] name of the bench file; empty: none
@@ -638,7 +657,9 @@ MeasuredRun MeasuringSession::measure_and_finish(RunFile file, const RunProgress
     if (const auto warning = note_environment(bench, opened.config, file, "end")) {
       warn("environment not read", *warning);
     }
+    if (witness_) witness_->await_angles();
     file.complete(utc, timing);
+    if (witness_) witness_->end(file);
     MeasuredRun run = load_measured(path);
     const RunAnalyst::Conclusion conclusion = analyse(options_.analyst.get(), run);
     close_and_keep(std::move(file), run, utc);
@@ -657,6 +678,7 @@ MeasuredRun MeasuringSession::measure_and_finish(RunFile file, const RunProgress
 
 MeasuredRun MeasuringSession::replay(const ReplayRequest& request) {
   notifier_.reset();
+  witness_.reset();
   const std::filesystem::path recorded_path = request.recorded_file;
   const StoredRun recorded = RunFile::load(recorded_path);
   opened_.reset();

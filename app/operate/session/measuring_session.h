@@ -16,6 +16,7 @@
 #include "app/operate/bench/transcript.h"
 #include "app/operate/session/notifier.h"
 #include "app/operate/session/run_bench.h"
+#include "app/operate/session/run_witness.h"
 #include "app/operate/session/session_events.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_file.h"
@@ -110,6 +111,8 @@ class MeasuringSession {
     /// Questions to the laboratory's register. Empty: refused where ABCAL_REGISTER names a register.
     LaboratoryLink laboratory;
     std::shared_ptr<RunAnalyst> analyst;  ///< Null: runs are closed without an analysis.
+    /// Finds the witness of the runs, which may be null; empty: WitnessClient::find().
+    std::function<std::unique_ptr<WitnessClient>()> find_witness;
     /// Free space for a file, in bytes; nothing: not known. Empty: as the file system says.
     std::function<std::optional<std::uintmax_t>(const std::filesystem::path&)> free_disk_space;
   };
@@ -178,6 +181,7 @@ class MeasuringSession {
   void notify_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
   MeasuredRun measure_and_finish(RunFile file, const RunProgress& so_far);
   void close_and_keep(RunFile file, MeasuredRun& run, const std::string& utc) const;
+  void have_witnessed(RunFile& file);
   RegisteredStart find_operator(const std::string& stated) const;
   void notify_charts(const MeasuredRun& run) const;
   MeasuredRun replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
@@ -198,9 +202,15 @@ class MeasuringSession {
   // Destroyed from the last to the first: the objects that the byte streams of a bench use outlive it.
   std::unique_ptr<Transcript> transcript_;
   std::unique_ptr<RecordedWire> recorded_wire_;
+  std::unique_ptr<RunWitness> witness_;  ///< Null: a replay.
   std::unique_ptr<OpenedBench> opened_;
   std::optional<std::stop_callback<std::function<void()>>> stop_link_;
 };
+
+/// The witness of the runs of sessions with these options; the listener is told what is not witnessed.
+/// @throws std::runtime_error if the witness that is configured cannot be reached; std::invalid_argument: its
+/// key cannot be used
+std::unique_ptr<RunWitness> find_witness(const MeasuringSession::Options& options);
 
 /// A run whose angles are all measured, but whose program ended before the file was closed and analysed.
 struct FinishedRun {
@@ -210,7 +220,10 @@ struct FinishedRun {
 
 /// Closes and analyses a run whose angles are all measured, if its program ended before that.
 /// @param analyst  null: only closed
+/// @param witness  has the end witnessed; null: nothing is witnessed
 /// @return nothing if nothing is left to do, or not all angles are measured
-std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst);
+/// @throws RunFileError also if the file was changed since it was written
+std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst,
+                                               RunWitness* witness);
 
 }  // namespace abcal

@@ -96,9 +96,8 @@ std::vector<std::filesystem::path> TemperatureSeries::measure(const Request& req
     if (stored.state != RunState::kComplete) {
       progress.missing.push_back(n);
     } else {
-      (void)finish_measured_run(
-          path,
-          options_.session.analyst.get());  // The program may have ended before it was closed and analysed.
+      // The program may have ended before it was closed and analysed.
+      (void)finish_measured_run(path, options_.session.analyst.get(), find_witness(options_.session).get());
     }
   }
   if (progress.missing.empty()) return progress.paths;
