@@ -9,6 +9,7 @@
 #include "app/laboratory/certificate/decision.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/laboratory_file.h"
+#include "app/laboratory/certificate/registered_entry.h"
 #include "app/laboratory/certificate/words.h"
 #include "app/results/estimates/report_data.h"
 #include "protocol/record/run_operator.h"
@@ -24,6 +25,14 @@ struct Replacement {
 };
 
 /// Facts that issuing adds. Until then a certificate is a draft.
+/// How a run was witnessed (docs/witness.md). Without `by` and `statement` the certificate says nothing of
+/// it.
+struct RunWitnessing {
+  std::string by;          ///< Owner of the key that has signed each angle; empty: not all were signed.
+  std::size_t angles = 0;  ///< Their number.
+  std::string statement;   ///< Why the approver certifies a run that was not witnessed.
+};
+
 struct IssueFacts {
   std::string number;
   std::string measured_by;  ///< Empty: the operators of the run; else it must be one of them.
@@ -31,7 +40,9 @@ struct IssueFacts {
   Date date{};
   std::optional<Date> today;      ///< No date is after it. Absent: a certificate that was issued before.
   std::string register_identity;  ///< Register that gave the number; empty: none, names are stated only.
-  bool training = false;          ///< Training register: marked TRAINING, and accepts simulated runs.
+  RunWitnessing witnessing;
+  bool training = false;                 ///< Training register: marked TRAINING, and accepts simulated runs.
+  std::optional<RegisteredEntry> entry;  ///< Entry of the register that gave the number.
   std::optional<Replacement> replaces;
 };
 

@@ -8,6 +8,7 @@
 
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
+#include "app/laboratory/certificate/registered_entry.h"
 
 namespace abcal {
 namespace {
@@ -265,13 +266,18 @@ Section person_section(const PageSource& from) {
     add_fact(persons.right, from.say("Date of issue"), issued);
   }
   const bool is_signed = from.xml.any("ds:Signature");
-  return {
+  Section section{
       from.say("Persons and signatures"),
       {persons,
        Paragraph{is_signed ? from.say("The XML of this certificate, which is attached to the PDF, is signed "
                                       "electronically; it is the certificate.")
                            : from.say("The XML of this certificate is attached to the PDF; it is the "
                                       "certificate.")}}};
+  if (const auto entry = registered_entry_of(from.xml))
+    section.blocks.push_back(Paragraph{from.words("Register {}, entry {}, {}", entry->register_identity,
+                                                  entry->entry, entry->digits_on_paper())
+                                           .text});
+  return section;
 }
 
 /// Marks, and the sentence of each that must be seen first.

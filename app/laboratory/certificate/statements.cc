@@ -228,6 +228,27 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
         plain("abc_amendment", words("Amendment"),
               words("Replaces certificate {}. Reason: {}", replaced.number, replaced.reason)));
   }
+  if (certificate.issue && !certificate.issue->witnessing.by.empty()) {
+    const RunWitnessing& witnessing = certificate.issue->witnessing;
+    statements.push_back(plain(
+        "abc_witness", words("Witness"),
+        words("Each of the {} angles of the run was signed by the witness with the key of {} when it was "
+              "measured.",
+              witnessing.angles, witnessing.by)));
+  } else if (certificate.issue && !certificate.issue->witnessing.statement.empty()) {
+    statements.push_back(plain("abc_witness", words("Witness"),
+                               words("The run was not witnessed. Statement of the person who approved: {}",
+                                     certificate.issue->witnessing.statement)));
+  }
+  if (certificate.issue && certificate.issue->entry) {
+    Statement entry = plain(
+        "abc_register", words("Register"),
+        words("An entry of the laboratory's register gave this certificate its number. The hash is that of "
+              "this entry and of all before it. With this certificate the laboratory or an assessor finds "
+              "out whether the register was copied back or rewritten since."));
+    entry.references = {reference_of(*certificate.issue->entry)};
+    statements.push_back(entry);
+  }
   add_units(statements, certificate);
   return statements;
 }

@@ -21,7 +21,8 @@ struct Statement {
 };
 
 /// All statements of a certificate: draft, simulation, the item concerned, traceability, uncertainty,
-/// decision rule, deviations, data supplied by the customer, opinions, amendment, units.
+/// decision rule, deviations, data supplied by the customer, opinions, amendment, entry of the register,
+/// units.
 std::vector<Statement> statements_of(const Certificate& certificate);
 
 }  // namespace abcal

@@ -90,6 +90,7 @@ struct Database::Impl {
   std::string location;
   bool one_file = true;
   soci::session session;
+  std::chrono::steady_clock::time_point begun;
 };
 
 Database::Database(const std::string& location) : impl_(std::make_unique<Impl>()) {
@@ -115,6 +116,10 @@ Database::~Database() = default;
 
 const std::string& Database::location() const {
   return impl_->location;
+}
+
+std::chrono::seconds Database::since_begin() const {
+  return std::chrono::floor<std::chrono::seconds>(std::chrono::steady_clock::now() - impl_->begun);
 }
 
 bool Database::is_one_file() const {
@@ -194,6 +199,7 @@ void begin_immediate(Database& database) {
 DatabaseTransaction::DatabaseTransaction(Database& database, Purpose purpose) : database_(database) {
   // soci::transaction begins an SQLite transaction that only reads: two that both write later fail at once.
   const bool writes = purpose == Purpose::kWrite;
+  database_.impl_->begun = std::chrono::steady_clock::now();
   if (database_.is_one_file()) {
     if (writes) begin_immediate(database_);
     if (!writes) database_.execute("begin");

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -146,6 +147,13 @@ struct ScopeEntry {
 struct AuditEntry {
   std::size_t entry = 0;
   std::string utc, who, what, subject, before_json, after_json, chain;
+};
+
+/// The state of the audit after one of its entries. No later entry changes it, so that a certificate or a
+/// backup that names it is evidence of all entries up to this one.
+struct AuditHead {
+  std::int64_t entries = 0;  ///< Number of the entry, from 1.
+  std::string sha256;        ///< SHA-256 over the entry and all before it, 64 hexadecimal digits.
 };
 
 /// Facts about the register itself.

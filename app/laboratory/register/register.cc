@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "app/ground/system/version.h"
 #include "app/laboratory/register/register_schema.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
@@ -120,12 +121,24 @@ Register Register::open(const std::string& location, Clock::UtcTime now) {
                                     without_password(location)));
   if (const int step = schema_step(opened.database_); step < kNewestSchemaStep) {
     DatabaseTransaction transaction(opened.database_);
+    opened.lock_audit();
     // Another program may have applied the steps in the meantime.
-    apply_schema_steps(opened.database_, schema_step(opened.database_), format_utc(now));
+    opened.bring_to_newest_step(schema_step(opened.database_), now);
     transaction.commit();
   }
   opened.read_facts();
   return opened;
+}
+
+void Register::bring_to_newest_step(int database_step, Clock::UtcTime now) {
+  apply_schema_steps(database_, database_step, format_utc(now));
+  if (database_step >= 4) return;
+  append_audit({std::string("abcal ") + program_version(),
+                "schema step 4: from here on each entry has the time at which it was written",
+                "schema_step",
+                "4",
+                {}},
+               {}, {}, now);
 }
 
 void Register::read_facts() {
@@ -162,6 +175,7 @@ void Register::require_known(const std::string& table, const std::string& key) {
 
 void Register::lock_audit() {
   database_.execute("update audit_head set entries = entries where id = 1");
+  waited_ = database_.since_begin();
 }
 
 std::string Register::row_json(const std::string& name, const std::string& key) {
@@ -188,30 +202,60 @@ void Register::change_alone(const Change& what, Clock::UtcTime now, const std::f
   transaction.commit();
 }
 
-void Register::append_audit(const Change& change, const std::string& before, const std::string& after,
-                            Clock::UtcTime now) {
-  const auto head =
-      database_.query(2,
-                      "update audit_head set entries = entries + 1 where id = 1 returning entries, "
-                      "chain");
+AuditHead Register::audit_head() {
+  const auto head = database_.query(2, "select entries, chain from audit_head where id = 1");
   if (head.size() != 1)
     throw RegisterError(fmt::format("register {}: its audit has no head", without_password(location())));
-  const std::string utc = format_utc(now);
-  const std::string subject = change.table + "/" + change.key;
-  const std::string what = change.reason.empty() ? change.what : change.what + ": " + change.reason;
-  const std::string link = next_link(head[0][1], {head[0][0], utc, change.who, what, subject, before, after});
+  return {std::stoll(head[0][0]), head[0][1]};
+}
+
+AuditEntry Register::last_entry() {
+  const AuditHead head = audit_head();
+  AuditEntry last;
+  last.entry = static_cast<std::size_t>(head.entries);
+  last.chain = head.sha256;
+  const auto rows = database_.query(1, "select utc from audit where entry = :entry",
+                                    {{"entry", std::to_string(head.entries)}});
+  if (!rows.empty()) last.utc = rows[0][0];
+  return last;
+}
+
+void Register::append_audit(const Change& change, const std::string& before, const std::string& after,
+                            Clock::UtcTime now) {
+  AuditEntry predecessor = last_entry();
+  const std::string utc = format_utc(now + waited_);
+  if (runs_backwards(predecessor.utc, utc)) {
+    append_entry({0, utc, change.who, clock_set_back(predecessor, utc), kClock, {}, {}, {}}, predecessor);
+    predecessor = last_entry();
+  }
+  append_entry({0,
+                utc,
+                change.who,
+                change.reason.empty() ? change.what : change.what + ": " + change.reason,
+                change.table + "/" + change.key,
+                before,
+                after,
+                {}},
+               predecessor);
+}
+
+void Register::append_entry(AuditEntry entry, const AuditEntry& predecessor) {
+  entry.entry = predecessor.entry + 1;
+  entry.chain = chain_of(predecessor.chain, entry);
+  const std::string number = std::to_string(entry.entry);
   database_.execute(
       "insert into audit(entry, utc, who, what, subject, before_json, after_json, chain)"
       " values(:entry, :utc, :who, :what, :subject, :before, :after, :chain)",
-      {{"entry", head[0][0]},
-       {"utc", utc},
-       {"who", change.who},
-       {"what", what},
-       {"subject", subject},
-       {"before", before},
-       {"after", after},
-       {"chain", link}});
-  database_.execute("update audit_head set chain = :chain where id = 1", {{"chain", link}});
+      {{"entry", number},
+       {"utc", entry.utc},
+       {"who", entry.who},
+       {"what", entry.what},
+       {"subject", entry.subject},
+       {"before", entry.before_json},
+       {"after", entry.after_json},
+       {"chain", entry.chain}});
+  database_.execute("update audit_head set entries = :entry, chain = :chain where id = 1",
+                    {{"entry", number}, {"chain", entry.chain}});
 }
 
 std::vector<AuditEntry> Register::audit() {
@@ -224,47 +268,21 @@ std::vector<AuditEntry> Register::audit() {
   return entries;
 }
 
-namespace {
-
-/// Follows the chain of the audit and gathers the last state of each row.
-RegisterFinding check_audit_chain(const std::vector<AuditEntry>& entries, const Database::Row& head,
-                                  std::map<std::string, std::string>& last) {
-  const std::string what = "audit";
-  std::string link;
-  std::size_t count = 0;
-  for (const AuditEntry& entry : entries) {
-    ++count;
-    if (entry.entry != count) return {what, false, fmt::format("entry {} is missing", count)};
-    link = next_link(link, {std::to_string(entry.entry), entry.utc, entry.who, entry.what, entry.subject,
-                            entry.before_json, entry.after_json});
-    if (link != entry.chain)
-      return {what, false, fmt::format("entry {}, or one before it, was changed", count)};
-    const auto before = last.find(entry.subject);
-    if ((before == last.end() ? std::string() : before->second) != entry.before_json)
-      return {what, false,
-              fmt::format("entry {}: {} was changed without an entry before it", count, entry.subject)};
-    last[entry.subject] = entry.after_json;
-  }
-  if (head[0] != std::to_string(count) || head[1] != link)
-    return {what, false, "its last entries are missing: it does not end as its head says"};
-  return {what, true, fmt::format("{} entries, each linked to the one before", count)};
-}
-
-}  // namespace
-
 std::vector<RegisterFinding> Register::verify() {
   DatabaseTransaction reading(database_, DatabaseTransaction::Purpose::kRead);
   std::vector<RegisterFinding> findings;
   const auto head = database_.query(2, "select entries, chain from audit_head where id = 1");
   std::map<std::string, std::string> last;
   if (head.empty()) return {{"audit", false, "it has no head"}};
-  findings.push_back(check_audit_chain(audit(), head[0], last));
+  const std::vector<AuditEntry> entries = audit();
+  findings.push_back(check_audit_chain(entries, {std::stoll(head[0][0]), head[0][1]}, last));
+  findings.push_back(check_audit_times(entries));
 
   std::string wrong;
   std::size_t rows = 0;
   for (const TableDescription& table : register_tables()) {
-    static constexpr std::array<std::string_view, 5> kNotAudited{"schema_step", "counter", "audit_head",
-                                                                 "audit", "login"};
+    static constexpr std::array<std::string_view, 6> kNotAudited{"schema_step", "counter", "audit_head",
+                                                                 "audit",       "login",   "witnessed_head"};
     if (std::find(kNotAudited.begin(), kNotAudited.end(), table.name) != kNotAudited.end()) continue;
     for (const Database::Row& row : database_.query(table.columns.size(), select_all(table))) {
       const std::string subject = std::string(table.name) + "/" + row[0];
@@ -287,6 +305,15 @@ std::vector<RegisterFinding> Register::verify() {
       {"certificate numbers", each_once,
        each_once ? fmt::format("{} given, each once", count[0][0])
                  : fmt::format("{} given, {} known", given.empty() ? "?" : given[0][0], count[0][0])});
+
+  const auto witnessed = database_.query(2, "select count(*), max(entries) from witnessed_head");
+  if (witnessed[0][0] != "0") {
+    const std::int64_t newest = std::stoll(witnessed[0][1]);
+    const std::int64_t count_of_entries = static_cast<std::int64_t>(entries.size());
+    findings.push_back({"witnessed heads", newest <= count_of_entries,
+                        fmt::format("{}, the newest of entry {}; the audit has {} entries", witnessed[0][0],
+                                    newest, count_of_entries)});
+  }
   reading.commit();
   return findings;
 }

@@ -1,15 +1,21 @@
 #pragma once
 
+#include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "app/laboratory/register/audit_chain.h"
 #include "app/laboratory/register/database.h"
+#include "app/laboratory/register/outside_evidence.h"
 #include "app/laboratory/register/password.h"
 #include "app/laboratory/register/records.h"
 #include "drivers/instrument/clock.h"
+#include "protocol/record/witnessed_line.h"
 
 namespace abcal::lab {
 
@@ -47,16 +53,26 @@ struct NumberRequest {
   std::string stage = {}, bench = {};  ///< Instruments of the run; a block of either refuses the number.
 };
 
-/// A finding in a register, or between it and a run.
-struct RegisterFinding {
-  std::string what;
-  bool good = false;
-  std::string found;  ///< In words.
+/// A number that was given to a certificate.
+struct ReservedNumber {
+  std::string number;
+  AuditHead
+      head;  ///< Head of the entry that gave it: the same each time the number is given to the run again.
+  std::vector<std::string> warnings;
 };
+
+/// Asks a witness to sign a head of the audit: numbers of entries only grow, and each has one hash. The
+/// register asks for its newest head while it is locked, so that heads are asked for in their order.
+/// @return nothing: the witness does not answer
+/// @throws RegisterError with the words of the witness if it refuses, since it has signed a later head or
+/// another one of this entry: the register was copied back
+using HeadWitness =
+    std::function<std::optional<WitnessedLine>(std::int64_t entries, const std::string& sha256)>;
 
 /// The register of a laboratory. Every change is one transaction that also appends to the audit: person,
 /// time, action, the row before and after, chained by SHA-256. The audit's head is locked first, so that
-/// writers follow one another. Times are arguments. All functions throw RegisterError.
+/// writers follow one another. Times are arguments; an entry has the time of its call plus the whole seconds
+/// for which it waited for others. All functions throw RegisterError.
 class Register {
  public:
   /// Makes a register in an empty database. An SQLite file must not exist.
@@ -136,19 +152,30 @@ class Register {
   // ---- Certificates
   /// Gives a certificate its number, once and for all: "EX-2026-0001". A run whose certificate got a number
   /// but was not issued (the program ended in between) gets the same one again.
-  /// @throws RegisterError if the run has a certificate and the request does not replace it, or the bench is
-  ///         blocked
-  std::string reserve_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now);
+  /// @throws RegisterError if the run has a certificate and the request does not replace it, the bench is
+  ///         blocked, or the witness refuses
+  ReservedNumber reserve_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now);
   /// The certificate is approved and issued. The approval names the hashes of run and XML.
-  void record_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
-                     const std::string& issue_date, Clock::UtcTime now);
+  /// @return warnings
+  std::vector<std::string> record_issued(const LoggedIn& by, const std::string& number,
+                                         const std::string& xml_sha256, const std::string& issue_date,
+                                         Clock::UtcTime now);
   std::vector<CertificateRecord> certificates();
   std::vector<CertificateRecord> certificates_of(const std::string& run_sha256);
 
   // ---- Evidence
   std::vector<AuditEntry> audit();
-  /// Whether the audit is complete, every row agrees with it, and every number was given once.
+  /// Whether the audit is complete, its times are in order, every row agrees with it, and every number was
+  /// given once. A register that was copied back or rebuilt is consistent: compare_with() finds it.
   std::vector<RegisterFinding> verify();
+  /// Whether the register still has what a certificate or backup says of it: its entries, and the certificate
+  /// under its number.
+  std::vector<RegisterFinding> compare_with(const RegisterEvidence& evidence);
+  /// The part of compare_with() about the audit; nothing if the evidence names no entry.
+  std::optional<RegisterFinding> compare_audit_with(const RegisterEvidence& evidence);
+  /// From now on this witness signs the heads of the audit when a number is given and when a certificate is
+  /// issued: before, so that nothing is written if it refuses, and after. Empty: none does.
+  void set_witness(HeadWitness witness) { witness_ = std::move(witness); }
 
   // ---- Copies
   /// All of the register as one JSON text (schema abcal.register/1).
@@ -173,8 +200,24 @@ class Register {
   };
   /// Within a transaction: `write` changes the row, and the audit gets the row before and after.
   void change(const Change& change, Clock::UtcTime now, const std::function<void()>& write);
+  /// Appends an entry, and before it one that says that the clock was set back, if it was.
   void append_audit(const Change& change, const std::string& before, const std::string& after,
                     Clock::UtcTime now);
+  void append_entry(AuditEntry entry, const AuditEntry& predecessor);
+  /// The last entry of the audit; without one, an entry 0.
+  AuditEntry last_entry();
+  AuditHead audit_head();
+  /// Brings an older database to the newest schema step, within a transaction.
+  void bring_to_newest_step(int database_step, Clock::UtcTime now);
+  /// The first part of reserve_number(), within a transaction. @return the number
+  std::string give_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now);
+  AuditHead head_of_number(const std::string& number);
+  void write_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
+                    const std::string& issue_date, Clock::UtcTime now);
+  /// A warning if the clock is before the last entry of a certificate; empty: it is not.
+  std::string clock_before_last_certificate(Clock::UtcTime now);
+  /// Has the newest head signed. @return whether the witness answered, or there is none
+  bool witness_head(std::vector<std::string>& warnings);
   /// The first statement of every transaction that writes: others wait here.
   void lock_audit();
   std::string row_json(const std::string& table, const std::string& key);
@@ -188,6 +231,8 @@ class Register {
 
   Database database_;
   RegisterFacts facts_;
+  HeadWitness witness_;
+  std::chrono::seconds waited_{0};  ///< For others, at the beginning of the last transaction.
 };
 
 /// Certificates stored with a run, for comparison with the register: numbers, and hashes of the XML.

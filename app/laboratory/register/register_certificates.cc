@@ -13,6 +13,7 @@ constexpr const char* kColumns =
     "number, state, run_sha256, xml_sha256, item, measured_by, approved_by, issue_date, replaces, reason, "
     "utc, approval";
 constexpr std::size_t kColumnCount = 12;
+constexpr const char* kNumberGiven = "number given";
 
 CertificateRecord record_of(const Database::Row& row) {
   return {row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]};
@@ -38,14 +39,72 @@ std::vector<CertificateRecord> Register::certificates_of(const std::string& run_
   return list;
 }
 
-std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now) {
+bool Register::witness_head(std::vector<std::string>& warnings) {
+  if (!witness_) return true;
+  DatabaseTransaction transaction(database_);
+  lock_audit();
+  const AuditHead head = audit_head();
+  const std::optional<WitnessedLine> answer = witness_(head.entries, head.sha256);
+  if (!answer) {
+    warnings.push_back(fmt::format(
+        "the witness does not answer: the head of the register at entry {} is not witnessed", head.entries));
+    return false;
+  }
+  database_.execute(
+      "insert into witnessed_head(entries, line, signature) values(:entries, :line, :signature)"
+      " on conflict(entries) do nothing",
+      {{"entries", std::to_string(head.entries)}, {"line", answer->line}, {"signature", answer->signature}});
+  transaction.commit();
+  return true;
+}
+
+AuditHead Register::head_of_number(const std::string& number) {
+  const auto rows = database_.query(
+      2, "select entry, chain from audit where subject = :subject and what = :what order by entry limit 1",
+      {{"subject", "certificate/" + number}, {"what", kNumberGiven}});
+  if (rows.empty())
+    throw RegisterError(fmt::format(
+        "register {}: its audit does not say when it gave number {}; required: `abcal lab verify`",
+        without_password(location()), number));
+  return {std::stoll(rows[0][0]), rows[0][1]};
+}
+
+ReservedNumber Register::reserve_number(const LoggedIn& by, const NumberRequest& request,
+                                        Clock::UtcTime now) {
   require(by, Right::kApprove);
   if (by.name() == request.measured_by)
     throw RegisterError(fmt::format(
         "{} measured the run and cannot approve its certificate; required: another person", by.name()));
-  DatabaseTransaction transaction(database_);
-  lock_audit();
-  require_not_blocked(request);
+  ReservedNumber reserved;
+  const bool is_answered = witness_head(reserved.warnings);
+  {
+    DatabaseTransaction transaction(database_);
+    lock_audit();
+    if (const std::string why = clock_before_last_certificate(now); !why.empty())
+      reserved.warnings.push_back(why);
+    require_not_blocked(request);
+    reserved.number = give_number(by, request, now);
+    reserved.head = head_of_number(reserved.number);
+    transaction.commit();
+  }
+  if (is_answered) (void)witness_head(reserved.warnings);
+  return reserved;
+}
+
+std::string Register::clock_before_last_certificate(Clock::UtcTime now) {
+  const auto rows = database_.query(3,
+                                    "select entry, utc, subject from audit where entry ="
+                                    " (select max(entry) from audit where subject like 'certificate/%')");
+  const std::string utc = format_utc(now + waited_);
+  if (rows.empty() || !runs_backwards(rows[0][1], utc)) return {};
+  return fmt::format(
+      "the clock says {}, before {} of entry {} of the register, which is of {}; the certificate has its "
+      "date "
+      "from this clock; required: a clock that is right",
+      utc, rows[0][1], rows[0][0], rows[0][2]);
+}
+
+std::string Register::give_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now) {
   for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
     if (one.item != request.item) continue;  // It belongs to another item of the same run.
     if (one.state == "reserved" && one.replaces == request.replaces)
@@ -85,7 +144,7 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
         fmt::format("register {}: certificate {} was given before, though its counter says otherwise: it was "
                     "changed; required: `abcal lab verify`, and a backup that is whole",
                     without_password(location()), number));
-  change({by.name(), "number given", "certificate", number, {}}, now, [&] {
+  change({by.name(), kNumberGiven, "certificate", number, {}}, now, [&] {
     database_.execute(
         fmt::format(
             "insert into certificate({}) values(:number, 'reserved', :run, '', :item, :measured, '', '', "
@@ -99,13 +158,22 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
          {"reason", request.reason},
          {"utc", utc}});
   });
-  transaction.commit();
   return number;
 }
 
-void Register::record_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
-                             const std::string& issue_date, Clock::UtcTime now) {
+std::vector<std::string> Register::record_issued(const LoggedIn& by, const std::string& number,
+                                                 const std::string& xml_sha256, const std::string& issue_date,
+                                                 Clock::UtcTime now) {
   require(by, Right::kApprove);
+  std::vector<std::string> warnings;
+  const bool is_answered = witness_head(warnings);
+  write_issued(by, number, xml_sha256, issue_date, now);
+  if (is_answered) (void)witness_head(warnings);
+  return warnings;
+}
+
+void Register::write_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
+                            const std::string& issue_date, Clock::UtcTime now) {
   DatabaseTransaction transaction(database_);
   lock_audit();
   const auto rows = database_.query(

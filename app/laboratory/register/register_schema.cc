@@ -74,6 +74,11 @@ constexpr std::array kStep3{
     "null)",
 };
 
+// Heads of the audit that a witness signed.
+constexpr std::array kStep4{
+    "create table witnessed_head(entries integer primary key, line text not null, signature text not null)",
+};
+
 constexpr std::array<std::string_view, 3> kSchemaStep{"step", "utc", "program_version"};
 constexpr std::array<std::string_view, 6> kLaboratory{"id",   "identity",      "name",
                                                       "kind", "number_prefix", "created_utc"};
@@ -109,6 +114,8 @@ constexpr std::array<std::string_view, 9> kScope{
 constexpr std::array<std::string_view, 7> kCheckRun{"identity", "check_standard", "run_sha256", "file",
                                                     "date",     "told_by",        "utc"};
 
+constexpr std::array<std::string_view, 3> kWitnessedHead{"entries", "line", "signature"};
+
 // In an order in which rows that refer to others follow them.
 constexpr std::array kTables{
     TableDescription{"schema_step", kSchemaStep, "step"},
@@ -128,6 +135,7 @@ constexpr std::array kTables{
     TableDescription{"bench_block", kBenchBlock, "set_utc, identity", 2},
     TableDescription{"scope", kScope, "identity", 2},
     TableDescription{"check_run", kCheckRun, "check_standard, date, identity", 3},
+    TableDescription{"witnessed_head", kWitnessedHead, "entries", 4},
 };
 
 void note_step(Database& database, int step, const std::string& utc) {
@@ -169,6 +177,10 @@ void apply_schema_steps(Database& database, int database_step, const std::string
   if (database_step < 3 && to_step >= 3) {
     for (const char* statement : kStep3) database.execute(statement);
     note_step(database, 3, utc);
+  }
+  if (database_step < 4 && to_step >= 4) {
+    for (const char* statement : kStep4) database.execute(statement);
+    note_step(database, 4, utc);
   }
 }
 

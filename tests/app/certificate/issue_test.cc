@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
 #include <optional>
 
 #include "protocol/record/sha256.h"
@@ -84,6 +86,93 @@ TEST_F(IssueTest, AnIssuedCertificateIsKeptAndVerified) {
   EXPECT_THAT(verified.out,
               AllOf(HasSubstr("certificates: 1 entries"),
                     HasSubstr("register, certificate " + number + ": issued, approved by Approver N. N.")));
+}
+
+TEST_F(IssueTest, ACertificateNamesTheEntryOfTheRegisterThatGaveItsNumber) {
+  const std::string number = issued({"--dcc", "a.xml"});
+  const auto audit = nlohmann::json::parse(registered->lab({"list", "audit", "--json"}))["audit"];
+  nlohmann::json given;
+  for (const auto& entry : audit)
+    if (entry["subject"] == "certificate/" + number && entry["what"] == "number given") given = entry;
+  ASSERT_TRUE(given.is_object());
+  const std::string entry = given["entry"], hash = given["chain"];
+  const auto register_of =
+      nlohmann::json::parse(registered->lab({"list", "laboratory", "--json"}))["laboratory"][0]["identity"];
+  const std::string identity = register_of;
+
+  const CertificateXml query(test::read_file(folder / "a.xml"));
+  EXPECT_EQ(query.text("//dcc:statement[@refType='abc_register']/dcc:reference"),
+            "register " + identity + ", entry " + entry + ", SHA-256 " + hash);
+  ASSERT_EQ(abcal({"report", run, "--html", "a.html"}).exit_code, 0);
+  const std::string page = test::read_file(folder / "a.html");
+  EXPECT_THAT(page, HasSubstr("Register " + identity + ", entry " + entry + ", " + hash.substr(0, 32)));
+  EXPECT_THAT(page, Not(HasSubstr(hash)));
+
+  // Everything that left the register with the certificate is evidence.
+  registered->lab({"backup", "kept.json"});
+  const auto good = abcal({"lab", "verify", "--against", "a.xml", "--against", "kept.json", "--against", run,
+                           "--against", run + ".results", "--against", entry + ":" + hash.substr(0, 32)});
+  EXPECT_EQ(good.exit_code, 0) << good.out;
+  EXPECT_THAT(good.out, AllOf(HasSubstr("good  against a.xml, entry " + entry + ": as it says"),
+                              HasSubstr("good  against a.xml, number " + number),
+                              HasSubstr("good  against kept.json, entry "),
+                              HasSubstr("good  against " + run + ", certificate " + number),
+                              HasSubstr("good  against line of a page, entry " + entry)));
+  EXPECT_THAT(abcal({"verify", run}).out,
+              HasSubstr("good  register against certificate " + number + ", entry " + entry));
+}
+
+TEST_F(IssueTest, ARegisterThatWasCopiedBackIsFoundByTheFirstCertificate) {
+  std::filesystem::copy(folder / "register.db", folder / "old.db");
+  const std::string first = issued({"--dcc", "a.xml"});
+  std::filesystem::copy(folder / "register.db", folder / "new.db");
+  std::filesystem::copy(folder / "old.db", folder / "register.db",
+                        std::filesystem::copy_options::overwrite_existing);
+  // The results go as well: who copies the register back can remove them.
+  std::filesystem::remove(folder / (run + ".results"));
+  ASSERT_EQ(abcal({"analyse", run}).exit_code, 0);
+  ASSERT_EQ(issued({"--dcc", "b.xml"}), first) << "the number is given twice";
+  EXPECT_EQ(abcal({"lab", "verify"}).exit_code, 0) << "the copy is consistent";
+  EXPECT_EQ(abcal({"lab", "verify", "--against", "b.xml"}).exit_code, 0);
+  const auto found = abcal({"lab", "verify", "--against", "b.xml", "--against", "a.xml", "--json"});
+  EXPECT_EQ(found.exit_code, 1);
+  const auto json = nlohmann::json::parse(found.out);
+  EXPECT_FALSE(json["good"]);
+  std::vector<std::string> bad;
+  for (const auto& check : json["checks"])
+    if (!check["good"])
+      bad.push_back(check["what"].get<std::string>() + ": " + check["kind"].get<std::string>());
+  EXPECT_THAT(bad, testing::ElementsAre(testing::MatchesRegex("against a.xml, entry [0-9]+: rewriting"),
+                                        "against a.xml, number " + first + ": rewriting"));
+  // The line on paper is enough.
+  const CertificateXml query(test::read_file(folder / "a.xml"));
+  std::string line = query.text("//dcc:statement[@refType='abc_register']/dcc:reference");
+  line = line.substr(line.find("entry ") + 6);
+  line = line.substr(0, line.find(',')) + ":" + line.substr(line.find("SHA-256 ") + 8, 32);
+  EXPECT_EQ(abcal({"lab", "verify", "--against", line}).exit_code, 1);
+  std::filesystem::copy(folder / "new.db", folder / "register.db",
+                        std::filesystem::copy_options::overwrite_existing);
+  EXPECT_EQ(abcal({"lab", "verify", "--against", "a.xml", "--against", line}).exit_code, 0);
+}
+
+TEST_F(IssueTest, WhatIsNoEvidenceOfARegisterIsRefused) {
+  const auto refused = [&](const std::string& file) {
+    const auto result = abcal({"lab", "verify", "--against", file});
+    EXPECT_EQ(result.exit_code, 2) << file << result.out;
+    return result.err;
+  };
+  EXPECT_THAT(refused("lab.toml"),
+              HasSubstr("--against lab.toml: is no evidence of a register; required: a backup"));
+  EXPECT_THAT(refused("none.xml"), HasSubstr("none.xml"));
+  EXPECT_THAT(refused(run), HasSubstr("has no certificate"));
+  ASSERT_EQ(abcal({"report", run, "--dcc", "draft.xml", "--laboratory", "lab.toml", "--draft"}).exit_code, 0);
+  EXPECT_THAT(refused("draft.xml"), HasSubstr("draft.xml: a draft"));
+  test::write_file(folder / "other.xml", "<other/>");
+  EXPECT_THAT(refused("other.xml"), HasSubstr("other.xml: XML, but not a certificate of abcal"));
+  (void)issued({"--dcc", "a.xml"});
+  const std::string xml = test::read_file(folder / "a.xml");
+  test::write_file(folder / "b.xml", replaced(xml, "<dcc:reference>register ", "<dcc:reference>Register "));
+  EXPECT_THAT(refused("b.xml"), HasSubstr("statement abc_register is \"Register "));
 }
 
 TEST_F(IssueTest, ASimulatedRunIsIssuedByATrainingRegisterOnly) {

@@ -204,6 +204,7 @@ TEST_F(WordsTest, AGermanCertificateHasNoEnglishSentence) {
   facts.date = *parse_date("2999-01-02");
   facts.register_identity = "a register";
   facts.training = true;
+  facts.entry = RegisteredEntry{"0123456789abcdef0123456789abcdef", 17, std::string(64, 'a')};
   for (const char* estimator : {"abc", "joint"}) {
     CertificateRequest issued = request(german);
     issued.run.estimator = estimator;

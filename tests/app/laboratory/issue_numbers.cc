@@ -16,8 +16,11 @@ int main(int, char** words) {
     const lab::LoggedIn approver = opened.who(token, RealClock().utc_now());
     for (int k = 0; k < std::atoi(words[5]); ++k) {
       const std::string run = std::string(words[4]) + "-" + std::to_string(k);
-      const std::string number = opened.reserve_number(
-          approver, {sha256_of(run), "an item", "Operator N. N.", {}, {}}, RealClock().utc_now());
+      const std::string number =
+          opened
+              .reserve_number(approver, {sha256_of(run), "an item", "Operator N. N.", {}, {}},
+                              RealClock().utc_now())
+              .number;
       opened.record_issued(approver, number, sha256_of("xml of " + run), "2026-03-01", RealClock().utc_now());
       std::printf("%s %s\n", number.c_str(), run.c_str());
     }

@@ -70,7 +70,8 @@ TEST_P(RegisterChartsTest, APointOutsideBlocksItsBenchUntilItIsLifted) {
   Register made = with_chart();
   const LoggedIn approver = login(made, "Approver N. N."), operator_ = login(made, "Operator N. N.");
   EXPECT_EQ(made.add_check_point(operator_, point("1", false), 0, bench(), at(5)).identity, "A/1");
-  EXPECT_EQ(made.reserve_number(approver, request("x", "Stage 118001234", "bench 1"), at(6)), "EX-2026-0001");
+  EXPECT_EQ(made.reserve_number(approver, request("x", "Stage 118001234", "bench 1"), at(6)).number,
+            "EX-2026-0001");
   EXPECT_EQ(made.add_check_point(operator_, point("2", true), 1, bench(), at(7)).identity, "A/2");
   made.add_check_point(operator_, point("3", true), 2, bench(), at(8));
   ASSERT_EQ(made.blocks().size(), 1U);  // One block a chart, by the first point.
@@ -87,7 +88,7 @@ TEST_P(RegisterChartsTest, APointOutsideBlocksItsBenchUntilItIsLifted) {
   }
   EXPECT_THAT(refusal([&] { made.reserve_number(approver, request("x", "Stage 118001234", ""), at(9)); }),
               HasSubstr("is blocked"));
-  EXPECT_EQ(made.reserve_number(approver, request("z", "Stage 9", "bench 2"), at(9)), "EX-2026-0002");
+  EXPECT_EQ(made.reserve_number(approver, request("z", "Stage 9", "bench 2"), at(9)).number, "EX-2026-0002");
 
   EXPECT_THAT(refusal([&] { made.lift_block(operator_, "A", "fine again", at(10)); }),
               HasSubstr("the right to approve"));
@@ -95,7 +96,7 @@ TEST_P(RegisterChartsTest, APointOutsideBlocksItsBenchUntilItIsLifted) {
   made.lift_block(approver, "A", "mount tightened", at(10));
   EXPECT_THAT(refusal([&] { made.lift_block(approver, "A", "again", at(11)); }),
               HasSubstr("blocks no bench"));
-  EXPECT_EQ(made.reserve_number(approver, request("y", "Stage 118001234", "bench 1"), at(11)),
+  EXPECT_EQ(made.reserve_number(approver, request("y", "Stage 118001234", "bench 1"), at(11)).number,
             "EX-2026-0003");
   EXPECT_EQ(made.blocks()[0].lifted_by, "Approver N. N.");
 
@@ -193,7 +194,7 @@ TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   backup["step"] = 1;
   auto& steps = backup["tables"]["schema_step"];
   while (steps.size() > 1) steps.erase(steps.size() - 1);
-  for (const char* table : {"check_point", "bench_block", "scope", "check_run"})
+  for (const char* table : {"check_point", "bench_block", "scope", "check_run", "witnessed_head"})
     backup["tables"].erase(table);
   Register restored = Register::restore(new_location(), backup.dump(), at(5));
   EXPECT_EQ(bad(restored), "");
@@ -204,7 +205,7 @@ TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   {
     Register one = Register::restore(old, backup.dump(), at(5));
     Database database(old);
-    for (const char* table : {"check_point", "bench_block", "scope", "check_run"})
+    for (const char* table : {"check_point", "bench_block", "scope", "check_run", "witnessed_head"})
       database.execute(std::string("drop table ") + table);
     database.execute("delete from schema_step where step > 1");
   }

@@ -124,10 +124,10 @@ TEST_P(RegisterTest, KeepsEquipmentWithItsCalibrations) {
 TEST_P(RegisterTest, GivesANumberOnceAndARunOneCertificate) {
   Register made = with_people();
   const LoggedIn approver = login(made, "Approver N. N.");
-  EXPECT_EQ(made.reserve_number(approver, request_for("a"), at(3)), "EX-2026-0001");
-  EXPECT_EQ(made.reserve_number(approver, request_for("a"), at(4)),
+  EXPECT_EQ(made.reserve_number(approver, request_for("a"), at(3)).number, "EX-2026-0001");
+  EXPECT_EQ(made.reserve_number(approver, request_for("a"), at(4)).number,
             "EX-2026-0001");  // Not issued yet: the same again.
-  EXPECT_EQ(made.reserve_number(approver, request_for("b"), at(5)), "EX-2026-0002");
+  EXPECT_EQ(made.reserve_number(approver, request_for("b"), at(5)).number, "EX-2026-0002");
   made.record_issued(approver, "EX-2026-0001", sha256_of("xml"), "2026-03-01", at(6));
   EXPECT_THAT(refusal([&] { made.reserve_number(approver, request_for("a"), at(7)); }),
               HasSubstr("--replaces EX-2026-0001"));
@@ -137,7 +137,7 @@ TEST_P(RegisterTest, GivesANumberOnceAndARunOneCertificate) {
   NumberRequest amendment = request_for("a");
   amendment.replaces = "EX-2026-0001";
   amendment.reason = "address";
-  EXPECT_EQ(made.reserve_number(approver, amendment, at(8)), "EX-2026-0003");
+  EXPECT_EQ(made.reserve_number(approver, amendment, at(8)).number, "EX-2026-0003");
   made.record_issued(approver, "EX-2026-0003", sha256_of("new xml"), "2026-03-01", at(9));
   ASSERT_EQ(made.certificates_of(sha256_of("a")).size(), 2U);
   EXPECT_EQ(made.certificates_of(sha256_of("a"))[0].state, "replaced");
@@ -156,8 +156,8 @@ TEST_P(RegisterTest, WhoMeasuredCannotApprove) {
 TEST_P(RegisterTest, FindsWhatWasChangedBehindItsBack) {
   Register made = with_people();
   const LoggedIn approver = login(made, "Approver N. N.");
-  made.record_issued(approver, made.reserve_number(approver, request_for("a"), at(3)), sha256_of("xml"),
-                     "2026-03-01", at(4));
+  made.record_issued(approver, made.reserve_number(approver, request_for("a"), at(3)).number,
+                     sha256_of("xml"), "2026-03-01", at(4));
   ASSERT_EQ(bad(made), "");
   const std::string kept = made.backup();
   const std::pair<const char*, const char*> changes[] = {
@@ -182,7 +182,7 @@ TEST_P(RegisterTest, FindsWhatWasChangedBehindItsBack) {
 TEST_P(RegisterTest, ANumberIsNotGivenTwiceThoughItsRowIsDeletedAndTheCounterSetBack) {
   Register made = with_people();
   const LoggedIn approver = login(made, "Approver N. N.");
-  ASSERT_EQ(made.reserve_number(approver, request_for("a"), at(3)), "EX-2026-0001");
+  ASSERT_EQ(made.reserve_number(approver, request_for("a"), at(3)).number, "EX-2026-0001");
   Database(location).execute("delete from certificate");
   Database(location).execute("update counter set last = 0");
   EXPECT_THAT(refusal([&] { made.reserve_number(approver, request_for("b"), at(4)); }),
@@ -216,7 +216,7 @@ TEST_P(RegisterTest, ABackupIsRestoredOnEitherDatabase) {
     EXPECT_EQ(restored->audit().size(), made.audit().size());
     EXPECT_EQ(bad(*restored), "");
     EXPECT_EQ(login(*restored, "Operator N. N.").name(), "Operator N. N.");
-    EXPECT_EQ(restored->reserve_number(login(*restored, "Approver N. N."), request_for("b"), at(6)),
+    EXPECT_EQ(restored->reserve_number(login(*restored, "Approver N. N."), request_for("b"), at(6)).number,
               "EX-2026-0002");
   }
   EXPECT_THAT(refusal([&] { Register::restore((folder / "x.db").string(), "{}", at(5)); }),
@@ -269,7 +269,7 @@ TEST_P(RegisterTest, ATrainingRegisterNumbersItsCertificatesApart) {
   Register made = Register::create(location, training, at(0));
   const LoggedIn admin = login(made, "Admin N. N.");
   EXPECT_TRUE(made.facts().training);
-  EXPECT_EQ(made.reserve_number(admin, request_for("a"), at(3)), "T-2026-0001");
+  EXPECT_EQ(made.reserve_number(admin, request_for("a"), at(3)).number, "T-2026-0001");
 }
 
 TEST(RegisterFile, OnlyItsOwnerCanReadIt) {

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/laboratory/register/records.h"
+
+namespace abcal::lab {
+
+/// A certificate as it left the laboratory.
+struct NamedCertificate {
+  std::string number, run_sha256;
+  std::string xml_sha256;  ///< Hash of its bytes, signature included.
+};
+
+/// Evidence outside the database of a register. The register cannot have forgotten or changed it
+/// since, whoever wrote the database.
+struct RegisterEvidence {
+  std::string name;               ///< File, and what of it, for messages.
+  std::string register_identity;  ///< Empty: not stated (a certificate of a version before 1.1).
+  /// Head that it names. On paper the SHA-256 is cut to its first digits.
+  std::optional<AuditHead> head;
+  std::optional<NamedCertificate> certificate;  ///< Only for a certificate.
+  std::vector<AuditEntry> audit;                ///< Only for a backup: all entries up to the head.
+};
+
+/// The evidence of a backup (`abcal lab backup`).
+/// @throws RegisterError if the text is no backup, or its own audit is not whole
+RegisterEvidence evidence_of_backup(const std::string& name, const std::string& text);
+
+}  // namespace abcal::lab
