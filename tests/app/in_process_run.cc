@@ -93,7 +93,7 @@ void InProcessRun::run_to_end() {
   finished_.reset();
   if (exists() && RunFile::load(path_).state == RunState::kComplete) {
     const auto analyst = make_run_analyst([this](const RunOutcome& outcome) { finished_ = outcome; });
-    (void)finish_measured_run(path_, analyst.get());
+    (void)finish_measured_run(path_, analyst.get(), nullptr);
     return;
   }
   std::optional<Clock::Instant> last;  // When an angle was measured.

@@ -35,6 +35,22 @@ TEST(MotionWatch, IsOverdueOnlyWhileItMayMoveAndNothingIsHeard) {
   EXPECT_FALSE(watch.overdue(kStart + 3h));
 }
 
+/// After a freeze of the whole program the guard's halt is the first cause, and the controller is not to
+/// blame.
+TEST(MotionWatch, AFreezeOfThisProgramIsNoSilenceOfTheController) {
+  MotionWatch watch(5s);
+  const auto look = [&](Clock::Duration at) {
+    watch.look(kStart + at);
+    return watch.overdue(kStart + at);
+  };
+  watch.told_to_move(StageAxis::kX, kStart);
+  EXPECT_FALSE(look(500ms));
+  EXPECT_FALSE(look(10s)) << "nobody could hear an answer";
+  Clock::Duration at = 10s;
+  while (!look(at) && at < 1min) at += 500ms;
+  EXPECT_EQ(at, 15500ms) << "from then on silence counts";
+}
+
 /// Reports a halt to the test.
 class HaltedStage final : public RotationStage {
  public:

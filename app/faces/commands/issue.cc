@@ -89,17 +89,17 @@ void print_issued(const IssueOptions& options, const IssueOutcome& outcome) {
 }
 
 void issue(const IssueOptions& options) {
-  const Clock::UtcTime now = RealClock().utc_now();
+  const RealClock clock;
   if (options.asked.key.empty() != options.asked.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
   check_outputs(options);
-  std::optional<Registered> registered = open_registered(options, now);
-  const IssueOutcome outcome = issue_run(options.asked, registered ? &*registered : nullptr, now);
+  std::optional<Registered> registered = open_registered(options, clock.utc_now());
+  const IssueOutcome outcome = issue_run(options.asked, registered ? &*registered : nullptr, clock);
+  for (const std::string& warning : outcome.warnings) print_warning(warning);
   if (!outcome.known_now.empty()) {
     print_result("certificate {} is kept with the run; the register knows it now\n", outcome.known_now);
     return;
   }
-  for (const std::string& warning : outcome.warnings) print_warning(warning);
   if (!options.dcc.empty()) OutputFile(options.dcc).write(outcome.issued.xml);
   if (!options.pdf.empty()) write_printed(options, outcome.issued.xml);
   print_issued(options, outcome);
@@ -130,6 +130,10 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
   command->add_option("--replaces", options->asked.replaces,
                       "number of the certificate that this one amends");
   command->add_option("--reason", options->asked.reason, "why it is amended");
+  command->add_option(
+      "--not-witnessed", options->asked.not_witnessed,
+      "the approver's statement why a run that was not witnessed is certified all the same; it is "
+      "printed on the certificate");
   command->add_option("--sign", options->asked.key,
                       "private key of the approver (PEM): sign the XML, and the PDF");
   command->add_option("--certificate", options->asked.key_certificate, "X.509 certificate of that key (PEM)");

@@ -2,7 +2,10 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
+#include <utility>
+#include <vector>
 
 #include "app/faces/commands/commands.h"
 #include "app/ground/system/exit_code.h"
@@ -10,6 +13,7 @@
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/secret_input.h"
 #include "app/ground/system/terminal.h"
+#include "app/laboratory/issuing/evidence_files.h"
 
 namespace abcal {
 namespace {
@@ -58,28 +62,53 @@ void add_init(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& 
   });
 }
 
-void add_verify_register(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
-  auto json = std::make_shared<bool>(false);
-  CLI::App* command =
-      parent.add_subcommand("verify", "Check the register: its audit, its records, its numbers");
-  command->add_flag("--json", *json, "print one JSON object");
-  command->callback([shared, json, &exit_code] {
-    lab::Register opened = open_register(*shared);
-    nlohmann::ordered_json object{{"schema", "abcal.register_verify/1"}, {"good", true}};
-    bool good = true;
-    for (const lab::RegisterFinding& finding : opened.verify()) {
-      good = good && finding.good;
-      object["checks"].push_back({{"what", finding.what}, {"good", finding.good}, {"found", finding.found}});
-      if (!*json)
-        print_result("{}  {}: {}\n",
-                     emphasised(stdout, finding.good ? Emphasis::kGood : Emphasis::kBad,
-                                finding.good ? "good" : " bad"),
-                     finding.what, finding.found);
+struct VerifyRegisterOptions {
+  std::vector<std::string> against;
+  bool json = false;
+};
+
+int verify_register(const LabOptions& shared, const VerifyRegisterOptions& options) {
+  lab::Register opened = open_register(shared);
+  std::vector<lab::RegisterFinding> findings = opened.verify();
+  for (const std::string& file : options.against)
+    for (const lab::RegisterEvidence& evidence : read_evidence(file))
+      for (lab::RegisterFinding& finding : opened.compare_with(evidence)) {
+        finding.what = "against " + finding.what;
+        findings.push_back(std::move(finding));
+      }
+  const bool good =
+      std::all_of(findings.begin(), findings.end(), [](const lab::RegisterFinding& one) { return one.good; });
+  if (options.json) {
+    nlohmann::ordered_json object{{"schema", "abcal.register_verify/1"}, {"good", good}};
+    for (const lab::RegisterFinding& finding : findings) {
+      nlohmann::ordered_json check{{"what", finding.what}, {"good", finding.good}, {"found", finding.found}};
+      if (!finding.kind.empty()) check["kind"] = finding.kind;
+      object["checks"].push_back(std::move(check));
     }
-    object["good"] = good;
-    if (*json) print_result("{}\n", object.dump(2));
-    exit_code = good ? kExitDone : kExitFailed;
-  });
+    print_result("{}\n", object.dump(2));
+  } else {
+    for (const lab::RegisterFinding& finding : findings)
+      print_result(
+          "{}  {}: {}\n",
+          emphasised(stdout, finding.good ? Emphasis::kGood : Emphasis::kBad, finding.good ? "good" : " bad"),
+          finding.what, finding.found);
+  }
+  return good ? kExitDone : kExitFailed;
+}
+
+void add_verify_register(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  auto options = std::make_shared<VerifyRegisterOptions>();
+  CLI::App* command =
+      parent.add_subcommand("verify", "Check the register: its audit, its times, its records, its numbers");
+  command
+      ->add_option(
+          "--against", options->against,
+          "what is outside the register and names its entries, repeatable: a backup, a certificate "
+          "(XML), a run with certificates, or ENTRY:DIGITS of a printed certificate; finds a register "
+          "that was copied back, continued otherwise or rewritten")
+      ->type_name("FILE");
+  command->add_flag("--json", options->json, "print one JSON object");
+  command->callback([shared, options, &exit_code] { exit_code = verify_register(*shared, *options); });
 }
 
 }  // namespace

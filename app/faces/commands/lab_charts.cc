@@ -95,7 +95,8 @@ int approve(const LabOptions& shared, const ChartOptions& options) {
   for (const std::string& path : options.runs) runs.push_back(read_check_run(opened, path, now));
   const CheckBaseline baseline = make_baseline(std::move(runs), options.run_length);
   opened.add_check_standard(
-      by, {options.name, item_of(opened, baseline.first()), baseline_json(baseline), {}, {}, {}}, now);
+      by, {options.name, item_of(opened, baseline.first()), baseline_json(baseline), {}, {}, {}},
+      RealClock().utc_now());
   print_chart(shown_chart(opened, options.name), options.json);
   return kExitDone;
 }
@@ -129,7 +130,7 @@ int add_point(const LabOptions& shared, const ChartOptions& options) {
   lab::BenchBlock block;
   block.stage = run.bench.stage;
   block.bench = run.bench.name;
-  opened.add_check_point(by, kept, points_before, block, now);
+  opened.add_check_point(by, kept, points_before, block, RealClock().utc_now());
   print_chart(shown_chart(opened, options.name), options.json);
   return kept.outside ? kExitFailed : kExitDone;
 }

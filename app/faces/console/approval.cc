@@ -58,11 +58,11 @@ std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const App
 /// An approver, logged in for one approval.
 class Approver {
  public:
-  Approver(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now)
-      : now_(now), opened_(lab::Register::open(place.register_location, now)) {
+  Approver(const ApprovalForm& form, const ApprovalPlace& place, const Clock& clock)
+      : clock_(clock), opened_(lab::Register::open(place.register_location, clock.utc_now())) {
     constexpr std::chrono::minutes kForOneApproval{10};
     try {
-      login_ = opened_.log_in(form.approver, form.password, now, kForOneApproval);
+      login_ = opened_.log_in(form.approver, form.password, clock.utc_now(), kForOneApproval);
     } catch (const lab::RegisterError& refused) {
       (void)opened_.find_person({});  // Throws if the register is lost.
       throw LoginRefused(refused.what());
@@ -72,15 +72,15 @@ class Approver {
   Approver& operator=(const Approver&) = delete;
   ~Approver() {
     try {
-      opened_.log_out(login_, now_);
+      opened_.log_out(login_, clock_.utc_now());
     } catch (const std::exception&) {
       return;  // The login expires by itself.
     }
   }
-  lab::LoggedIn who() { return opened_.who(login_, now_); }
+  lab::LoggedIn who() { return opened_.who(login_, clock_.utc_now()); }
 
  private:
-  Clock::UtcTime now_;
+  const Clock& clock_;
   lab::Register opened_;
   std::string login_;
 };
@@ -143,13 +143,13 @@ ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, cons
           {"certificates", certificates_of(of)}};
 }
 
-ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now) {
+ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, const Clock& clock) {
   const StoredRun stored = require_approvable(form, place);
-  Approver approver(form, place, now);
+  Approver approver(form, place, clock);
   const lab::LoggedIn who = approver.who();
   if (const auto why = why_not_approve(who.person(), stored)) throw std::invalid_argument(*why);
-  Registered registered{lab::Register::open(place.register_location, now), who};
-  const IssueOutcome outcome = issue_run(issue_asked(form, place), &registered, now);
+  Registered registered{lab::Register::open(place.register_location, clock.utc_now()), who};
+  const IssueOutcome outcome = issue_run(issue_asked(form, place), &registered, clock);
   return issued_json(outcome, who.name(), registered.opened.facts().training);
 }
 

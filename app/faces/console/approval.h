@@ -52,6 +52,6 @@ nlohmann::ordered_json issued_json(const IssueOutcome& outcome, const std::strin
 /// Approves and issues, as `abcal issue` does. The approver proves with their password who they are.
 /// @return the certificate, for pages
 /// @throws LoginRefused (name or password), StaleApproval, and the exceptions of issue_run()
-nlohmann::ordered_json approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now);
+nlohmann::ordered_json approve(const ApprovalForm& form, const ApprovalPlace& place, const Clock& clock);
 
 }  // namespace abcal::console

@@ -107,7 +107,7 @@ HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
     attempt->wait = logins_.wait(attempt->name, attempt->peer);
     if (attempt->wait > Clock::Duration::zero()) return Slow::Finish(finish);
     carry_out_attempt(
-        *attempt, [&] { return approve(filled, approval_place(), common_.clock.utc_now()); },
+        *attempt, [&] { return approve(filled, approval_place(), common_.clock); },
         "Name or password is not right.");
     if (attempt->wrong_password) logins_.failed(attempt->name, attempt->peer);
     if (attempt->problem.empty()) logins_.succeeded(attempt->name, attempt->peer);
@@ -129,8 +129,7 @@ HttpResponse Answers::prepare_certificate(const Asked& asked, const ApprovalForm
   later.where = &seal_;
   later.job = [this, attempt, form, visitor = asked.visitor, finish] {
     carry_out_attempt(
-        *attempt, [&] { return signatures_.prepare(form, visitor, common_.clock.utc_now()); },
-        kLogInAsApprover);
+        *attempt, [&] { return signatures_.prepare(form, visitor, common_.clock); }, kLogInAsApprover);
     return Slow::Finish(finish);
   };
   return {};
@@ -153,8 +152,7 @@ HttpResponse Answers::take_signed_certificate(const Asked& asked, const std::vec
   later.where = &seal_;
   later.job = [this, attempt, of = *of, visitor = asked.visitor, xml = asked.request.body(), finish] {
     carry_out_attempt(
-        *attempt, [&] { return signatures_.take(of, xml, visitor, common_.clock.utc_now()); },
-        kLogInAsApprover);
+        *attempt, [&] { return signatures_.take(of, xml, visitor, common_.clock); }, kLogInAsApprover);
     return Slow::Finish(finish);
   };
   return {};

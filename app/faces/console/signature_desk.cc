@@ -29,11 +29,11 @@ Registered SignatureDesk::approver(const StoredRun& run, const Visitor& visitor,
 }
 
 nlohmann::ordered_json SignatureDesk::prepare(const ApprovalForm& form, const Visitor& visitor,
-                                              Clock::UtcTime now) {
+                                              const Clock& clock) {
   const StoredRun stored = require_approvable(form, place_);
-  Registered registered = approver(stored, visitor, now);
+  Registered registered = approver(stored, visitor, clock.utc_now());
   Waiting waits{form, registered.approver.name(),
-                prepare_to_sign(issue_asked(form, place_), registered, now)};
+                prepare_to_sign(issue_asked(form, place_), registered, clock)};
   std::erase_if(waiting_, [&](const Waiting& each) { return is_same(each.form.of, form.of); });
   if (waiting_.size() >= kMostWaiting) waiting_.pop_front();
   const IssuedCertificate& made = waits.awaited.prepared.issued;
@@ -43,7 +43,7 @@ nlohmann::ordered_json SignatureDesk::prepare(const ApprovalForm& form, const Vi
 }
 
 nlohmann::ordered_json SignatureDesk::take(const ItemOfRun& of, const std::string& signed_xml,
-                                           const Visitor& visitor, Clock::UtcTime now) {
+                                           const Visitor& visitor, const Clock& clock) {
   const auto found = std::find_if(waiting_.begin(), waiting_.end(), [&](const Waiting& each) {
     return is_same(each.form.of, of) && each.person == visitor.who.name;
   });
@@ -51,8 +51,8 @@ nlohmann::ordered_json SignatureDesk::take(const ItemOfRun& of, const std::strin
     throw StaleApproval(
         "no certificate of this item waits for your signature; make the one that is to be signed again");
   const StoredRun stored = require_approvable(found->form, place_);
-  Registered registered = approver(stored, visitor, now);
-  const IssueOutcome outcome = issue_signed(found->awaited, signed_xml, registered, now);
+  Registered registered = approver(stored, visitor, clock.utc_now());
+  const IssueOutcome outcome = issue_signed(found->awaited, signed_xml, registered, clock);
   waiting_.erase(found);
   return issued_json(outcome, registered.approver.name(), outcome.training);
 }

@@ -20,12 +20,12 @@ class SignatureDesk {
 
   /// Makes the certificate that is to be signed. @return its number, and its XML, for pages
   /// @throws StaleApproval, LoginRefused, std::invalid_argument (not permitted), those of prepare_to_sign()
-  nlohmann::ordered_json prepare(const ApprovalForm& form, const Visitor& visitor, Clock::UtcTime now);
+  nlohmann::ordered_json prepare(const ApprovalForm& form, const Visitor& visitor, const Clock& clock);
 
   /// Issues the signed certificate. @return the certificate, for pages
   /// @throws as prepare(); StaleApproval if no certificate of this person waits; those of issue_signed()
   nlohmann::ordered_json take(const ItemOfRun& of, const std::string& signed_xml, const Visitor& visitor,
-                              Clock::UtcTime now);
+                              const Clock& clock);
 
  private:
   struct Waiting {

@@ -16,6 +16,7 @@
 #include "app/faces/run/run_session.h"
 #include "app/ground/document/gnuplot.h"
 #include "app/ground/document/weasyprint.h"
+#include "app/ground/evidence/witness_client.h"
 #include "app/ground/system/helper_program.h"
 #include "app/ground/system/temporary_folder.h"
 #include "app/ground/system/version.h"
@@ -25,10 +26,10 @@
 #include "app/laboratory/register/login.h"
 #include "app/operate/session/disk_space.h"
 #include "app/operate/session/host_clock.h"
-#include "app/operate/session/signing_key.h"
 #include "app/results/estimates/analyses.h"
 #include "app/results/estimates/recompute.h"
 #include "protocol/gravity/local_gravity.h"
+#include "protocol/record/signature.h"
 #include "protocol/uncertainty/published_tables.h"
 #include "protocol/uncertainty/simulation_sets.h"
 
@@ -209,7 +210,8 @@ void check_installation(Report& report, Clock::UtcTime now) {
         {"abcal-pdf", "a PDF is finished by"},
         {"abcal-sign", "XML signatures need"},
         {"abcal-hdf5", "HDF5 needs"},
-        {"abcal-transfer", "messages and time stamps need"}})
+        {"abcal-transfer", "messages and time stamps need"},
+        {"abcal-witness", "a run that is signed while it is measured needs"}})
     check_helper(report, helper_program(name, needed_by));
   if (ABCAL_HAS_MPI != 0) check_helper(report, mpi_program());
   report.attempt("schemas", [&] { check_schemas(report); });
@@ -219,11 +221,13 @@ void check_installation(Report& report, Clock::UtcTime now) {
   report.attempt("disk space here", [&] { check_disk(report); });
   check_clock(report, now);
   report.attempt("register", [&] { check_register(report, now); });
-  report.attempt("signing key", [&] {
-    const bool there = !read_signing_key().empty();
-    report.add(
-        "signing key", there ? Grade::kGood : Grade::kNote,
-        there ? "readable by its owner only" : "none is configured (ABCAL_SIGNING_KEY): runs are not signed");
+  report.attempt("witness", [&] {
+    const std::unique_ptr<WitnessClient> witness = WitnessClient::find();
+    report.add("witness", witness ? Grade::kGood : Grade::kNote,
+               witness ? fmt::format("answers; its key has the fingerprint {}{}",
+                                     fingerprint_of(witness->public_pem()),
+                                     witness->is_beside() ? " and can be read by this user" : "")
+                       : "none is configured: runs are not witnessed (docs/witness.md)");
   });
 }
 
@@ -344,7 +348,8 @@ std::vector<SelfCheck> run_self_test(Clock::UtcTime now, const std::function<voi
   check_tables(report);
   check_gravity(report);
   // The simulated run has no operator: it needs no login, no key, no authority.
-  for (const char* name : {"ABCAL_REGISTER", "ABCAL_SIGNING_KEY", "ABCAL_TIME_STAMP_AUTHORITY"})
+  for (const char* name :
+       {"ABCAL_REGISTER", "ABCAL_SIGNING_KEY", "ABCAL_WITNESS", "ABCAL_TIME_STAMP_AUTHORITY"})
     ::unsetenv(name);
   report.attempt("simulated run", [&] { check_run(report); });
   return report.take();

@@ -14,6 +14,8 @@
 #include "app/laboratory/certificate/signature_checks.h"
 #include "app/laboratory/certificate/signing_certificate.h"
 #include "app/laboratory/compare/check_chart.h"
+#include "app/laboratory/issuing/laboratory_link.h"
+#include "app/laboratory/issuing/run_evidence.h"
 #include "app/results/estimates/load_record.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
@@ -72,18 +74,28 @@ void use_register(Registered& registered, CertificateRequest& request) {
   request.laboratory.file.scope = scope_of(registered.opened);
 }
 
+void add(std::vector<std::string>& warnings, const std::vector<std::string>& more) {
+  warnings.insert(warnings.end(), more.begin(), more.end());
+}
+
+void record_issued(Registered& registered, const IssuedCertificate& issued, const Clock& clock,
+                   std::vector<std::string>& warnings) {
+  add(warnings, registered.opened.record_issued(registered.approver, issued.number, sha256_of(issued.xml),
+                                                issued.date, clock.utc_now()));
+}
+
 /// Completes an issue whose program ended after the certificate was kept with the run and before it was
 /// registered.
 /// @return its number; absent: this was not the case
 std::optional<std::string> record_kept_certificate(Registered& registered, const IssueAsked& asked,
-                                                   Clock::UtcTime now) {
+                                                   const Clock& clock, std::vector<std::string>& warnings) {
   const auto kept = ResultsFile::certificates(asked.run, asked.item);
   for (const lab::CertificateRecord& one : registered.opened.certificates_of(sha256_of_file(asked.run))) {
     const auto found = std::find_if(kept.begin(), kept.end(), [&](const IssuedCertificate& issued) {
       return issued.number == one.number;
     });
     if (one.state != "reserved" || found == kept.end()) continue;
-    registered.opened.record_issued(registered.approver, one.number, sha256_of(found->xml), found->date, now);
+    record_issued(registered, *found, clock, warnings);
     return one.number;
   }
   return std::nullopt;
@@ -95,7 +107,8 @@ std::string item_name(const ReportData& data) {
                      data.label("item.serial_number"));
 }
 
-void take_number(Registered& registered, Certificate& certificate, Clock::UtcTime now) {
+void take_number(Registered& registered, Certificate& certificate, const Clock& clock,
+                 std::vector<std::string>& warnings) {
   const ReportData& data = certificate.run.data;
   lab::NumberRequest request;
   request.run_sha256 = data.sha256.value();
@@ -108,8 +121,12 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
     request.replaces = replaced->number;
     request.reason = replaced->reason;
   }
-  certificate.number = certificate.issue->number =
-      registered.opened.reserve_number(registered.approver, request, now);
+  const lab::ReservedNumber reserved =
+      registered.opened.reserve_number(registered.approver, request, clock.utc_now());
+  certificate.number = certificate.issue->number = reserved.number;
+  certificate.issue->entry =
+      RegisteredEntry{registered.opened.facts().identity, reserved.head.entries, reserved.head.sha256};
+  add(warnings, reserved.warnings);
 }
 
 /// With a register, an approver signs with a key of their own that the register knows.
@@ -137,8 +154,53 @@ void require_own_key(Registered& registered, const std::string& certificate_pem,
       from, subject.name, approver, approver));
 }
 
+void use_witness(Registered& registered) {
+  if (!registered.witness) registered.witness = head_witness(registered.opened.facts().identity);
+  registered.opened.set_witness(registered.witness);
+}
+
+/// Evidence of the runs of a certificate, as `abcal verify` judges them.
+struct CertificateEvidence {
+  RunWitnessing witnessing;  ///< That of the calibration itself.
+  std::string problems;      ///< Why it is not issued; empty: nothing is against it.
+};
+
+CertificateEvidence judge_runs(const IssueAsked& asked, Registered* registered) {
+  std::vector<std::string> runs{asked.run};
+  if (!asked.certificate.as_found.empty()) runs.push_back(asked.certificate.as_found);
+  runs.insert(runs.end(), asked.certificate.temperature.begin(), asked.certificate.temperature.end());
+  lab::Register* opened = registered == nullptr ? nullptr : &registered->opened;
+  Trust trust;
+  if (opened != nullptr) trust.keys = bench_keys(*opened);
+  CertificateEvidence of_all;
+  for (const std::string& run : runs) {
+    if (!RunFile::looks_like_run_file(run) || !RunFile::is_closed(run))
+      continue;  // make_certificate() says so.
+    const RunEvidence evidence = judge_run(run, trust, opened);
+    const std::string missing = opened == nullptr ? "" : missing_witness(evidence, *opened);
+    for (const IntegrityCheck& check : evidence.checks)
+      if (!check.good && check.what != kWitnessRequired)
+        of_all.problems += fmt::format("\n  {}, {}: {}", run, check.what, check.found);
+    if (missing.empty()) {
+      if (evidence.is_witnessed && run == asked.run)
+        of_all.witnessing = {evidence.witness, evidence.angles, {}};
+    } else if (asked.not_witnessed.empty()) {
+      of_all.problems += fmt::format(
+          "\n  {}: {}; to certify it all the same, the approver states why: --not-witnessed TEXT, which is "
+          "printed on the certificate",
+          run, missing);
+    } else {
+      of_all.witnessing = {{}, 0, asked.not_witnessed};
+    }
+  }
+  return of_all;
+}
+
 /// The certificate of a complete run, with its number.
-Certificate numbered_certificate(const IssueAsked& asked, Registered* registered, Clock::UtcTime now) {
+Certificate numbered_certificate(const IssueAsked& asked, Registered* registered, const Clock& clock,
+                                 std::vector<std::string>& warnings) {
+  const Clock::UtcTime now = clock.utc_now();
+  const CertificateEvidence evidence = judge_runs(asked, registered);
   CertificateRequest request;
   request.laboratory = read_laboratory_file(asked.certificate.laboratory);
   if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
@@ -147,39 +209,41 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
     request.as_found = gather_same_item("--as-found", asked.certificate.as_found, request.run, now);
   request.series = gather_series(asked.certificate.temperature, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
+  request.issue->witnessing = evidence.witnessing;
   if (registered != nullptr) use_register(*registered, request);
   Certificate certificate = make_certificate(std::move(request));
+  if (!evidence.problems.empty())
+    throw std::runtime_error("`abcal verify` does not accept what is to be certified:" + evidence.problems);
   end_orderly_at_signals();  // A certificate that has its number must be kept, registered and written.
-  if (registered != nullptr) take_number(*registered, certificate, now);
+  if (registered != nullptr) take_number(*registered, certificate, clock, warnings);
   return certificate;
 }
 
 }  // namespace
 
-IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now) {
+IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, const Clock& clock) {
   (void)chosen_item(asked.run, asked.item);
   IssueOutcome outcome;
   if (asked.key.empty() != asked.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
   if (registered != nullptr) {
-    if (auto known = record_kept_certificate(*registered, asked, now)) {
+    use_witness(*registered);
+    if (auto known = record_kept_certificate(*registered, asked, clock, outcome.warnings)) {
       outcome.known_now = *std::move(known);
       return outcome;
     }
     if (!asked.key.empty())
       require_own_key(*registered, read_file(asked.key_certificate), "--certificate " + asked.key_certificate,
-                      now);
+                      clock.utc_now());
   }
   if (RunFile::is_closed(asked.run))
     if (const auto why = stamp_if_configured(asked.run)) outcome.warnings.push_back(*why);
   const DccSchema schema = schema_of(asked.certificate);
-  const Certificate certificate = numbered_certificate(asked, registered, now);
+  const Certificate certificate = numbered_certificate(asked, registered, clock, outcome.warnings);
   std::optional<SigningKey> key;
   if (!asked.key.empty()) key = SigningKey{asked.key, asked.key_certificate};
-  outcome.issued = issue_certificate(certificate, &schema, key, format_utc(now));
-  if (registered != nullptr)
-    registered->opened.record_issued(registered->approver, outcome.issued.number,
-                                     sha256_of(outcome.issued.xml), outcome.issued.date, now);
+  outcome.issued = issue_certificate(certificate, &schema, key, format_utc(clock.utc_now()));
+  if (registered != nullptr) record_issued(*registered, outcome.issued, clock, outcome.warnings);
   outcome.training = certificate.training();
   outcome.is_signed = key.has_value();
   outcome.verified = !certificate.issue->register_identity.empty();
@@ -187,16 +251,17 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::U
   return outcome;
 }
 
-AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, Clock::UtcTime now) {
+AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, const Clock& clock) {
   (void)chosen_item(asked.run, asked.item);
-  if (const auto known = record_kept_certificate(registered, asked, now))
+  use_witness(registered);
+  AwaitedSignature awaited;
+  if (const auto known = record_kept_certificate(registered, asked, clock, awaited.warnings))
     throw std::invalid_argument(
         fmt::format("certificate {} is kept with the run; the register knows it now", *known));
-  AwaitedSignature awaited;
   if (RunFile::is_closed(asked.run))
     if (const auto why = stamp_if_configured(asked.run)) awaited.warnings.push_back(*why);
   const DccSchema schema = schema_of(asked.certificate);
-  const Certificate certificate = numbered_certificate(asked, &registered, now);
+  const Certificate certificate = numbered_certificate(asked, &registered, clock, awaited.warnings);
   awaited.prepared = prepare_certificate(certificate, &schema);
   awaited.files = asked.certificate;
   awaited.training = certificate.training();
@@ -204,18 +269,18 @@ AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered
 }
 
 IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
-                          Registered& registered, Clock::UtcTime now) {
+                          Registered& registered, const Clock& clock) {
+  use_witness(registered);
   const std::string pem = certificate_of_signature(awaited.prepared.issued.xml, signed_xml);
-  require_own_key(registered, pem, "the signature", now);
+  require_own_key(registered, pem, "the signature", clock.utc_now());
   const DccSchema schema = schema_of(awaited.files);
   IssueOutcome outcome;
-  outcome.issued = keep_certificate(awaited.prepared, signed_xml, &schema, format_utc(now));
-  registered.opened.record_issued(registered.approver, outcome.issued.number, sha256_of(outcome.issued.xml),
-                                  outcome.issued.date, now);
+  outcome.warnings = awaited.warnings;
+  outcome.issued = keep_certificate(awaited.prepared, signed_xml, &schema, format_utc(clock.utc_now()));
+  record_issued(registered, outcome.issued, clock, outcome.warnings);
   outcome.training = awaited.training;
   outcome.is_signed = outcome.verified = true;
   outcome.operators = outcome.issued.measured_by;
-  outcome.warnings = awaited.warnings;
   return outcome;
 }
 

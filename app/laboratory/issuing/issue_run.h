@@ -14,13 +14,16 @@ namespace abcal {
 
 /// Request to issue a certificate. The meaning of an empty entry is given for each.
 struct IssueAsked {
-  std::string run;                   ///< Path of the run file.
-  int item = 0;                      ///< With several items: the item, from 1; 0: the run has one.
-  std::string number;                ///< Required without a register; unused with one, which gives it.
-  std::string measured_by;           ///< Empty: the operators according to the events of the run.
-  std::string approved_by;           ///< Required without a register; unused with one.
-  std::string date;                  ///< "2026-03-01"; empty: today, UTC.
-  std::string replaces, reason;      ///< The certificate that this one amends, and why; empty: none.
+  std::string run;               ///< Path of the run file.
+  int item = 0;                  ///< With several items: the item, from 1; 0: the run has one.
+  std::string number;            ///< Required without a register; unused with one, which gives it.
+  std::string measured_by;       ///< Empty: the operators according to the events of the run.
+  std::string approved_by;       ///< Required without a register; unused with one.
+  std::string date;              ///< "2026-03-01"; empty: today, UTC.
+  std::string replaces, reason;  ///< The certificate that this one amends, and why; empty: none.
+  /// Statement of the approver for a run that was not witnessed although the register requires it: why it is
+  /// certified all the same. Printed on the certificate. Empty: such a run is refused.
+  std::string not_witnessed;
   std::string key, key_certificate;  ///< PEM files of the approver; empty: not signed.
   CertificateFiles certificate;
 };
@@ -29,6 +32,7 @@ struct IssueAsked {
 struct Registered {
   lab::Register opened;
   lab::LoggedIn approver;
+  lab::HeadWitness witness = {};  ///< Signs the heads of the register's audit; empty: head_witness().
 };
 
 struct IssueOutcome {
@@ -43,8 +47,10 @@ struct IssueOutcome {
 /// Issues the certificate of a complete run: checks it, takes its number from the register, keeps it with the
 /// run, and registers it. Every issue, from the command line or the console, uses this function.
 /// @param registered  null: no register
-/// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument
-IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now);
+/// @param clock  tells the date of issue; an entry of the register has the time at which it is written
+/// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument;
+/// std::runtime_error with all that judge_run() finds against the run
+IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, const Clock& clock);
 
 /// A certificate that has its number, and waits for the signature of its approver, which is made elsewhere.
 struct AwaitedSignature {
@@ -57,13 +63,13 @@ struct AwaitedSignature {
 /// The first half of issue_run(): all that comes before the signature, so that the approver's private key
 /// need not be on this computer. If nothing follows, the next certificate of the run has the same number.
 /// @throws as issue_run()
-AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, Clock::UtcTime now);
+AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, const Clock& clock);
 
 /// The second half. @param signed_xml  the XML that was prepared, with its signature by a valid key of the
 /// approver that the register knows
 /// @throws as issue_run(); std::invalid_argument for another signature: nothing is issued then
 IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
-                          Registered& registered, Clock::UtcTime now);
+                          Registered& registered, const Clock& clock);
 
 /// Whether the approver may approve: has the right, and is not an operator of the run.
 /// @return the reason why not, in words; absent: may approve

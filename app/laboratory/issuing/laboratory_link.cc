@@ -1,5 +1,10 @@
 #include "app/laboratory/issuing/laboratory_link.h"
 
+#include <fmt/format.h>
+
+#include <memory>
+
+#include "app/ground/evidence/witness_client.h"
 #include "app/laboratory/compare/check_run_notice.h"
 #include "app/laboratory/register/find_operator.h"
 
@@ -7,6 +12,22 @@ namespace abcal {
 
 LaboratoryLink laboratory_link() {
   return {find_operator, check_run_notices};
+}
+
+lab::HeadWitness head_witness(const std::string& register_identity) {
+  const std::shared_ptr<WitnessClient> client = WitnessClient::find();
+  if (!client) return {};
+  return [client, register_identity](std::int64_t entries,
+                                     const std::string& sha256) -> std::optional<WitnessedLine> {
+    try {
+      return client->head(register_identity, entries, sha256);
+    } catch (const WitnessSilent&) {
+      return std::nullopt;
+    } catch (const WitnessRefusal& refusal) {
+      throw lab::RegisterError(
+          fmt::format("the witness refuses to sign the state of the register: {}", refusal.what()));
+    }
+  };
 }
 
 }  // namespace abcal

@@ -5,11 +5,11 @@
 #include <filesystem>
 #include <string>
 
-#include "protocol/record/dwell_chain.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
 #include "tests/app/certificate/certificate_fixtures.h"
+#include "tests/support/forged_chain.h"
 
 namespace abcal {
 
@@ -27,24 +27,16 @@ class EvidenceTest : public CertificateTest {
     SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute(sql);
   }
 
+  /// Changes a run and makes the chain of its dwells again.
+  void rebuild_chain(const std::string& sql) const {
+    change(sql);
+    test::rebuild_chain(path);
+  }
+
   /// Changes a run and makes everything that depends on it again: chain of dwells, seal, the hash in the
   /// results, the analyses. The means have to be changed by `sql`.
   void forge(const std::string& sql) const {
-    change(sql);
-    {
-      SqliteDatabase run(path, SqliteDatabase::Mode::kReadWrite);
-      run.execute("update dwell set chain = null");
-      SqliteStatement rows = run.prepare("select id from dwell order by id");
-      std::string link = head_link(run);
-      while (rows.step()) {
-        link = dwell_link(run, rows.integer(0), link);
-        run.prepare("update dwell set chain = :chain where id = :dwell")
-            .set("chain", link)
-            .set("dwell", rows.integer(0))
-            .run();
-      }
-      run.execute("update seal set dwell_chain = (select chain from dwell order by id desc limit 1)");
-    }
+    rebuild_chain(sql);
     {
       SqliteDatabase kept(results(), SqliteDatabase::Mode::kReadWrite);
       kept.execute("delete from analysis");

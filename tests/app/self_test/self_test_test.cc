@@ -110,8 +110,8 @@ TEST_F(SelfTestCommand, ChecksThisInstallationAndSaysWhatItFound) {
     EXPECT_EQ(check["result"], "good") << check.dump();
   }
   EXPECT_EQ(of_the_run, 4U);
-  for (const char* part :
-       {"abcal-guard", "abcal-pdf", "abcal-sign", "abcal-hdf5", "abcal-transfer", "schemas"}) {
+  for (const char* part : {"abcal-guard", "abcal-pdf", "abcal-sign", "abcal-hdf5", "abcal-transfer",
+                           "abcal-witness", "schemas"}) {
     const auto& checks = json["checks"];
     const auto found = std::find_if(checks.begin(), checks.end(),
                                     [&](const nlohmann::json& check) { return check["what"] == part; });

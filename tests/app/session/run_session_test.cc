@@ -18,6 +18,7 @@
 #include "protocol/record/verify.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/repeatable_run.h"
+#include "tests/support/forged_chain.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -303,6 +304,7 @@ TEST_F(RunSessionTest, TheItemIsCalibratedWithItsOwnCorrectionsAndOnlyWithThose)
   EXPECT_EQ(stored.header.items[0].registers.size(), 2U);
   SqliteDatabase(folder / "a.run", SqliteDatabase::Mode::kReadWrite)
       .execute("update item_register set value = '2' where name like 'acceleration%'");
+  test::rebuild_chain(folder / "a.run");
   try {
     session()->resume({(folder / "a.run").string()});
     FAIL() << "resumed with other corrections";

@@ -178,7 +178,8 @@ export class ServedPage {
       socket.once('error', reject);
       socket.once('data', (reply) => {
         socket.end();
-        if (JSON.parse(reply).ok) resolve(); else reject(new Error(String(reply)));
+        const answer = JSON.parse(reply);
+        if (answer.ok) resolve(answer); else reject(new Error(String(reply)));
       });
     });
   }

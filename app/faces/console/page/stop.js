@@ -223,7 +223,9 @@ let written = '';
 function write(seen, {limit = '', count = ''} = {}) {
   const there = contact();
   const word = there ? seen.word : t('No contact');
-  const sentence = there || !seen.known ? seen.sentence : t`Last known: ${seen.word}. ${seen.sentence}`;
+  // While the process that holds the bench is silent or gone, the console still tells so, and what the guard of the axes says.
+  const isPresent = there || !seen.known || (connected() && bench.state !== 'on');
+  const sentence = isPresent ? seen.sentence : t`Last known: ${seen.word}. ${seen.sentence}`;
   const [kind, icon] = there ? [seen.kind, seen.icon] : ['lost', 'lost'];
   const more = [seen.fault && t`At fault: ${seen.fault}.`, there && limit, seen.todo].filter(Boolean).join(' ');
   const title = `${word}${there ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
