@@ -8,8 +8,10 @@
 #include <string>
 #include <vector>
 
+#include "app/ground/document/document_html.h"
 #include "app/ground/evidence/witness_check.h"
 #include "app/ground/evidence/witness_log.h"
+#include "app/laboratory/certificate/certificate_page.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/signature.h"
 #include "protocol/record/verify.h"
@@ -246,6 +248,8 @@ TEST_F(ForgeryTest, AStatementOfTheApproverCertifiesARunThatWasNotWitnessed) {
   EXPECT_THAT(
       test::read_file(folder / "a.xml"),
       HasSubstr("The run was not witnessed. Statement of the person who approved: A run of version 1.0"));
+  EXPECT_THAT(document_html(certificate_page(test::read_file(folder / "a.xml"))).html,
+              HasSubstr("The run was not witnessed. Statement of the person who approved"));
   // The register names the SHA-256 of the run: from now on nobody can change it.
   EXPECT_EQ(verify().exit_code, 0) << verify().out;
 }
