@@ -118,8 +118,8 @@ const std::string& Database::location() const {
   return impl_->location;
 }
 
-std::chrono::seconds Database::since_begin() const {
-  return std::chrono::floor<std::chrono::seconds>(std::chrono::steady_clock::now() - impl_->begun);
+std::chrono::nanoseconds Database::since_begin() const {
+  return std::chrono::steady_clock::now() - impl_->begun;
 }
 
 bool Database::is_one_file() const {

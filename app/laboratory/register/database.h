@@ -45,8 +45,8 @@ class Database {
   const std::string& location() const;
   /// SQLite: the register is one file.
   bool is_one_file() const;
-  /// Whole seconds since the last transaction was asked for, in which it waited for others.
-  std::chrono::seconds since_begin() const;
+  /// Time since the last transaction was asked for: how long it waited for others.
+  std::chrono::nanoseconds since_begin() const;
 
  private:
   friend class DatabaseTransaction;

@@ -71,7 +71,7 @@ using HeadWitness =
 
 /// The register of a laboratory. Every change is one transaction that also appends to the audit: person,
 /// time, action, the row before and after, chained by SHA-256. The audit's head is locked first, so that
-/// writers follow one another. Times are arguments; an entry has the time of its call plus the whole seconds
+/// writers follow one another. Times are arguments; an entry has the time of its call plus the time
 /// for which it waited for others. All functions throw RegisterError.
 class Register {
  public:
@@ -232,7 +232,7 @@ class Register {
   Database database_;
   RegisterFacts facts_;
   HeadWitness witness_;
-  std::chrono::seconds waited_{0};  ///< For others, at the beginning of the last transaction.
+  std::chrono::nanoseconds waited_{0};  ///< For others, at the beginning of the last transaction.
 };
 
 /// Certificates stored with a run, for comparison with the register: numbers, and hashes of the XML.

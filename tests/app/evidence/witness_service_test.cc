@@ -157,6 +157,9 @@ TEST_F(WitnessServiceTest, OneClientTooManyTakesThePlaceOfTheMostSilentOne) {
 }
 
 TEST_F(WitnessServiceTest, AsksForPatienceWhenItsLogCannotBeWritten) {
+  served.reset();
+  file = folder / "witness\xff.db";  // The reason names the file, and an answer is UTF-8.
+  served.emplace(open_log(), socket);
   const Descriptor client = connect();
   SqliteDatabase other(file, SqliteDatabase::Mode::kReadWrite);
   other.execute("alter table answer rename to hidden");
