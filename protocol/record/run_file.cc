@@ -10,7 +10,6 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 #include <stdexcept>
 #include <system_error>
 #include <utility>
@@ -78,10 +77,10 @@ void name_file(const std::filesystem::path& draft, const std::filesystem::path& 
 /// Reads the header of the SQLite file: a connection that only reads does not change a file without a log.
 bool uses_write_ahead_log(const std::filesystem::path& path) {
   constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
-  std::array<char, kReadVersionAt + 1> head{};
-  std::ifstream file(path, std::ios::binary);
-  file.read(head.data(), static_cast<std::streamsize>(head.size()));
-  return head[kReadVersionAt] == 2;
+  if (!begins_as_sqlite(path)) return false;
+  const std::string head =
+      SqliteDatabase(path, SqliteDatabase::Mode::kReadOnly).first_bytes(kReadVersionAt + 1);
+  return head.size() > kReadVersionAt && head[kReadVersionAt] == 2;
 }
 
 void make_read_only(const std::filesystem::path& path) {

@@ -3,9 +3,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <array>
 #include <cstdlib>
-#include <fstream>
 #include <string_view>
 #include <system_error>
 #include <vector>
@@ -99,10 +97,10 @@ std::int64_t run_file_version(SqliteDatabase& database) {
 }
 
 bool begins_as_sqlite(const std::filesystem::path& path) {
-  std::array<char, kSqliteMagic.size()> head{};
-  std::ifstream file(path, std::ios::binary);
-  file.read(head.data(), static_cast<std::streamsize>(head.size()));
-  return std::string_view(head.data(), static_cast<std::size_t>(file.gcount())) == kSqliteMagic;
+  std::error_code ignored;
+  if (!std::filesystem::is_regular_file(path, ignored) || ::access(path.c_str(), R_OK) != 0) return false;
+  return SqliteDatabase(path, SqliteDatabase::Mode::kReadOnly).first_bytes(kSqliteMagic.size()) ==
+         kSqliteMagic;
 }
 
 namespace {

@@ -39,7 +39,8 @@ class Sha256 {
   std::size_t count_ = 0;  ///< Number of bytes gathered.
 };
 
-/// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.
+/// SHA-256 of a file's bytes, in hexadecimal. Not for a run that this process is writing: closing the stream
+/// releases SQLite's locks. @throws RunFileError if it cannot be read.
 std::string sha256_of_file(const std::filesystem::path& path);
 
 /// SHA-256 of some bytes, in hexadecimal.

@@ -1,5 +1,6 @@
 #include "protocol/record/sqlite.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -213,6 +214,19 @@ std::optional<std::string> SqliteDatabase::value(std::string_view sql) {
   SqliteStatement statement = prepare(sql);
   if (!statement.step()) return std::nullopt;
   return statement.text(0);
+}
+
+std::string SqliteDatabase::first_bytes(std::size_t count) {
+  sqlite3_file* file = nullptr;
+  int code = sqlite3_file_control(handle_.get(), "main", SQLITE_FCNTL_FILE_POINTER, &file);
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errmsg(handle_.get()));
+  sqlite3_int64 size = 0;
+  code = file->pMethods->xFileSize(file, &size);
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, "disk I/O error");
+  std::string bytes(std::min(count, static_cast<std::size_t>(size)), '\0');
+  code = file->pMethods->xRead(file, bytes.data(), static_cast<int>(bytes.size()), 0);
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, "disk I/O error");
+  return bytes;
 }
 
 std::string insert_into(std::string_view table, std::span<const std::string_view> columns) {

@@ -123,6 +123,10 @@ class SqliteDatabase {
   bool has_table(std::string_view name);
   bool has_column(std::string_view table, std::string_view column);
   std::int64_t last_row_id() const { return sqlite3_last_insert_rowid(handle_.get()); }
+  /// The first bytes of the file, fewer if the file is shorter. Reads them through SQLite: a stream of our
+  /// own would, when it closes, release the locks of every connection that this process has to the file
+  /// (POSIX), and another process could then remove the write-ahead log that is in use.
+  std::string first_bytes(std::size_t count);
 
  private:
   struct Close {

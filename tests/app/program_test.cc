@@ -18,6 +18,7 @@
 #include "protocol/record/verify.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/program.h"
+#include "tests/support/sqlite_lock.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"
 
@@ -255,6 +256,7 @@ TEST_F(EmulatedBenchTest, AKilledRunKeepsItsAnglesAndGoesOn) {
   {
     Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
     ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 4; }, 60s)) << run.err();
+    EXPECT_TRUE(test::shared_lock_is_held(folder / "a.run")) << "others could remove the log of the run";
     run.signal(SIGKILL);
     run.wait();
   }

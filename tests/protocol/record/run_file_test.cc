@@ -4,9 +4,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <fstream>
 
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/verify.h"
+
 #include "tests/support/failing_disk.h"
+#include "tests/support/sqlite_lock.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -66,6 +71,36 @@ std::string what(const std::function<void()>& action) {
   }
   ADD_FAILURE() << "nothing was thrown";
   return {};
+}
+
+// Without this lock another program that has looked at the run removes the write-ahead log when it leaves,
+// and all later angles go into a file without a name.
+TEST(RunFileTest, TheProgramThatWritesARunKeepsItsLocksWhileItLooksAtTheFile) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  RunFile file = RunFile::create(path, header());
+  file.append_dwell(0, dwell(1), kReadings, {1, 2, 3, 4});
+  ASSERT_TRUE(test::shared_lock_is_held(path));
+  const std::vector<std::pair<const char*, std::function<void()>>> looks{
+      {"load", [&] { (void)RunFile::load(path); }},
+      {"load_items", [&] { (void)RunFile::load_items(path); }},
+      {"count_items", [&] { (void)RunFile::count_items(path); }},
+      {"looks_like_run_file", [&] { (void)RunFile::looks_like_run_file(path); }},
+      {"is_closed", [&] { (void)RunFile::is_closed(path); }},
+      {"witnessed", [&] { (void)RunFile::witnessed(path); }},
+      {"transcript", [&] { (void)RunFile::load_transcript(path); }},
+      {"last_dwell_link", [&] { (void)last_dwell_link(path); }},
+      {"require_unchanged", [&] { require_unchanged(path); }},
+  };
+  for (const auto& [name, look] : looks) {
+    look();
+    EXPECT_TRUE(test::shared_lock_is_held(path)) << name;
+  }
+  // A program that opens the run to write, as a shell of SQLite does, and leaves.
+  ASSERT_EQ(std::system(("sqlite3 '" + path.string() + "' 'select count(*) from dwell' >/dev/null").c_str()),
+            0);
+  file.append_dwell(1, dwell(2), kReadings, {1, 2, 3, 4});
+  EXPECT_EQ(RunFile::load(path).measured.size(), 2U);
 }
 
 TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
