@@ -77,9 +77,7 @@ void name_file(const std::filesystem::path& draft, const std::filesystem::path& 
 /// Reads the header of the SQLite file: a connection that only reads does not change a file without a log.
 bool uses_write_ahead_log(const std::filesystem::path& path) {
   constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
-  if (!begins_as_sqlite(path)) return false;
-  const std::string head =
-      SqliteDatabase(path, SqliteDatabase::Mode::kReadOnly).first_bytes(kReadVersionAt + 1);
+  const std::string head = first_bytes(path, kReadVersionAt + 1);
   return head.size() > kReadVersionAt && head[kReadVersionAt] == 2;
 }
 

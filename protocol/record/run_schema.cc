@@ -96,11 +96,29 @@ std::int64_t run_file_version(SqliteDatabase& database) {
   return std::stoll(database.value("pragma user_version").value_or("0"));
 }
 
-bool begins_as_sqlite(const std::filesystem::path& path) {
+namespace {
+
+/// A loose cable or a network may fail once: reads again then.
+template <typename Read>
+auto read_twice_if_disk_fails(const Read& read) {
+  try {
+    return read();
+  } catch (const DiskError&) {
+    return read();
+  }
+}
+
+}  // namespace
+
+std::string first_bytes(const std::filesystem::path& path, std::size_t count) {
   std::error_code ignored;
-  if (!std::filesystem::is_regular_file(path, ignored) || ::access(path.c_str(), R_OK) != 0) return false;
-  return SqliteDatabase(path, SqliteDatabase::Mode::kReadOnly).first_bytes(kSqliteMagic.size()) ==
-         kSqliteMagic;
+  if (!std::filesystem::is_regular_file(path, ignored) || ::access(path.c_str(), R_OK) != 0) return {};
+  return read_twice_if_disk_fails(
+      [&] { return SqliteDatabase(path, SqliteDatabase::Mode::kReadOnly).first_bytes(count); });
+}
+
+bool begins_as_sqlite(const std::filesystem::path& path) {
+  return first_bytes(path, kSqliteMagic.size()) == kSqliteMagic;
 }
 
 namespace {
@@ -165,11 +183,7 @@ SqliteDatabase open_and_check(const std::filesystem::path& path, SqliteDatabase:
 }  // namespace
 
 SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
-  try {
-    return open_and_check(path, mode);
-  } catch (const DiskError&) {  // A loose cable or a network may fail once.
-    return open_and_check(path, mode);
-  }
+  return read_twice_if_disk_fails([&] { return open_and_check(path, mode); });
 }
 
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path) {

@@ -29,7 +29,10 @@ SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, Sqlite
 /// @throws RunFileError also for a damaged file; DiskError: it could not be read
 SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
-/// Whether a file begins as an SQLite file does.
+/// The first bytes of a file, fewer if it is shorter; none if it is no file that can be read
+/// (SqliteDatabase::first_bytes). @throws DiskError
+std::string first_bytes(const std::filesystem::path& path, std::size_t count);
+/// Whether a file begins as an SQLite file does. @throws DiskError
 bool begins_as_sqlite(const std::filesystem::path& path);
 
 /// Turns a file of an older version, which is open for writing, into one of the present: step by step, all in

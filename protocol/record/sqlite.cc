@@ -222,10 +222,9 @@ std::string SqliteDatabase::first_bytes(std::size_t count) {
   if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errmsg(handle_.get()));
   sqlite3_int64 size = 0;
   code = file->pMethods->xFileSize(file, &size);
-  if (code != SQLITE_OK) throw_sqlite_error(file_, code, "disk I/O error");
   std::string bytes(std::min(count, static_cast<std::size_t>(size)), '\0');
-  code = file->pMethods->xRead(file, bytes.data(), static_cast<int>(bytes.size()), 0);
-  if (code != SQLITE_OK) throw_sqlite_error(file_, code, "disk I/O error");
+  if (code == SQLITE_OK) code = file->pMethods->xRead(file, bytes.data(), static_cast<int>(bytes.size()), 0);
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errstr(code));
   return bytes;
 }
 
