@@ -32,6 +32,21 @@ bool is_password(std::string_view password, const std::string& hash) {
   return !hash.empty() && crypto_pwhash_str_verify(hash.c_str(), password.data(), password.size()) == 0;
 }
 
+std::string hash_of_no_password() {
+  start_sodium();
+  constexpr int kVariant = sodium_base64_VARIANT_ORIGINAL_NO_PADDING;
+  std::array<unsigned char, crypto_pwhash_SALTBYTES> salt{};
+  std::array<unsigned char, 32> key{};
+  randombytes_buf(salt.data(), salt.size());
+  randombytes_buf(key.data(), key.size());
+  std::array<char, sodium_base64_ENCODED_LEN(32, kVariant)> salt_text{}, key_text{};
+  sodium_bin2base64(salt_text.data(), salt_text.size(), salt.data(), salt.size(), kVariant);
+  sodium_bin2base64(key_text.data(), key_text.size(), key.data(), key.size(), kVariant);
+  return fmt::format("{}v=19$m={},t={},p=1${}${}", crypto_pwhash_STRPREFIX,
+                     crypto_pwhash_MEMLIMIT_INTERACTIVE / 1024, crypto_pwhash_OPSLIMIT_INTERACTIVE,
+                     salt_text.data(), key_text.data());
+}
+
 std::string random_token() {
   start_sodium();
   std::array<unsigned char, 32> bytes{};

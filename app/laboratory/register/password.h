@@ -15,6 +15,10 @@ enum class PasswordCost {
 /// @throws std::runtime_error if memory is insufficient
 std::string hash_password(std::string_view password, PasswordCost cost = PasswordCost::kUsual);
 
+/// A random hash that fits no password, at the usual cost, in the form of Argon2 (RFC 9106): to check a
+/// password against it takes as long as against a person's. It is made without hashing.
+std::string hash_of_no_password();
+
 /// Whether a hash was made from this password.
 bool is_password(std::string_view password, const std::string& hash);
 

@@ -19,8 +19,7 @@ namespace {
 
 constexpr const char* kTraining = "training";
 
-/// A shorter wait for others is inside the tolerance of the order of times (audit_chain.h), and is not
-/// counted.
+/// A shorter wait is inside the tolerance of the order of times (audit_chain.h), and is not counted.
 constexpr std::chrono::milliseconds kWaited{500};
 constexpr const char* kLaboratoryKind = "laboratory";
 
@@ -179,7 +178,8 @@ void Register::require_known(const std::string& table, const std::string& key) {
 
 void Register::lock_audit() {
   database_.execute("update audit_head set entries = entries where id = 1");
-  const std::chrono::nanoseconds waited = database_.since_begin();
+  const std::chrono::nanoseconds waited =
+      database_.since_begin() + std::exchange(hashing_, std::chrono::nanoseconds(0));
   waited_ = waited < kWaited ? std::chrono::nanoseconds(0) : waited;
 }
 

@@ -72,7 +72,7 @@ using HeadWitness =
 /// The register of a laboratory. Every change is one transaction that also appends to the audit: person,
 /// time, action, the row before and after, chained by SHA-256. The audit's head is locked first, so that
 /// writers follow one another. Times are arguments; an entry has the time of its call plus the time
-/// for which it waited for others. All functions throw RegisterError.
+/// for which it waited for others and for the hash of a password. All functions throw RegisterError.
 class Register {
  public:
   /// Makes a register in an empty database. An SQLite file must not exist.
@@ -203,6 +203,14 @@ class Register {
   /// Appends an entry, and before it one that says that the clock was set back, if it was.
   void append_audit(const Change& change, const std::string& before, const std::string& after,
                     Clock::UtcTime now);
+  /// Hashes or checks a password; the entry that follows counts the time this takes.
+  template <typename Hash>
+  auto count_time_of(const Hash& hash) {
+    const auto begun = std::chrono::steady_clock::now();
+    auto result = hash();
+    hashing_ = std::chrono::steady_clock::now() - begun;
+    return result;
+  }
   void append_entry(AuditEntry entry, const AuditEntry& predecessor);
   /// The last entry of the audit; without one, an entry 0.
   AuditEntry last_entry();
@@ -232,7 +240,9 @@ class Register {
   Database database_;
   RegisterFacts facts_;
   HeadWitness witness_;
-  std::chrono::nanoseconds waited_{0};  ///< For others, at the beginning of the last transaction.
+  /// For others, at the beginning of the last transaction, and for the hash of a password before it.
+  std::chrono::nanoseconds waited_{0};
+  std::chrono::nanoseconds hashing_{0};  ///< Time that a call has spent on a password before its transaction.
 };
 
 /// Certificates stored with a run, for comparison with the register: numbers, and hashes of the XML.

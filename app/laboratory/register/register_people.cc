@@ -39,7 +39,8 @@ void Register::add_person(const LoggedIn& by, const Person& person, const std::s
   if (person.name.empty() || person.role.empty()) throw RegisterError("a person needs a name and a role");
   if (const std::string why = password.empty() ? "" : weakness_of(password); !why.empty())
     throw RegisterError("the password of " + person.name + ": " + why);
-  const std::string hash = password.empty() ? "" : hash_password(password, cost);
+  const std::string hash =
+      count_time_of([&] { return password.empty() ? std::string() : hash_password(password, cost); });
   DatabaseTransaction transaction(database_);
   lock_audit();
   require_new("person", person.name);
@@ -62,7 +63,7 @@ void Register::set_password(const LoggedIn& by, const std::string& name, const s
   if (by.name() != name) require(by, Right::kAdminister);
   if (const std::string why = weakness_of(password); !why.empty())
     throw RegisterError("the password of " + name + ": " + why);
-  const std::string hash = hash_password(password, cost);
+  const std::string hash = count_time_of([&] { return hash_password(password, cost); });
   DatabaseTransaction transaction(database_);
   lock_audit();
   require_known("person", name);
@@ -114,9 +115,9 @@ std::string Register::log_in(const std::string& name, const std::string& passwor
       database_.query(2, "select password, valid_to from person where name = :name", {{"name", name}});
   // The refusal takes as long for an unknown name as for a person, so that the time does not reveal the names
   // in the register.
-  static const std::string nobody = hash_password(random_token(), PasswordCost::kUsual);
   const bool is_person = !stored.empty() && stored[0][1].empty();
-  const bool fits = is_password(password, is_person ? stored[0][0] : nobody);
+  const bool fits =
+      count_time_of([&] { return is_password(password, is_person ? stored[0][0] : hash_of_no_password()); });
   if (!is_person || !fits) {
     if (!stored.empty()) change_alone({name, "login refused", "person", name, {}}, now, [] {});
     throw RegisterError(

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "app/laboratory/register/password.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/laboratory/register_fixtures.h"
 
@@ -31,6 +32,18 @@ TEST_P(RegisterTest, IsMadeOnceAndOpenedAgain) {
   EXPECT_FALSE(opened.facts().training);
   EXPECT_THAT(refusal([&] { Register::create(location, facts(), at(0)); }), HasSubstr("never overwritten"));
   EXPECT_EQ(bad(opened), "");
+}
+
+TEST(PasswordTest, TheHashThatStandsForAnUnknownPersonCostsAsMuchAsAPersons) {
+  const std::string persons = hash_password(kPassword, PasswordCost::kUsual), nobodys = hash_of_no_password();
+  const auto cost = [](const std::string& hash) {
+    return hash.substr(0, hash.find('$', hash.find("p=")) + 1);
+  };
+  EXPECT_EQ(cost(nobodys), cost(persons));
+  EXPECT_EQ(nobodys.size(), persons.size());
+  EXPECT_NE(nobodys, hash_of_no_password());
+  EXPECT_TRUE(is_password(kPassword, persons));
+  EXPECT_FALSE(is_password(kPassword, nobodys));
 }
 
 TEST_P(RegisterTest, APasswordLetsInForAWhileAndNoOtherDoes) {
