@@ -1,4 +1,5 @@
 #include "app/faces/commands/bench.h"
+#include "app/faces/commands/command_help.h"
 #include "app/faces/commands/commands.h"
 #include "app/faces/commands/manual.h"
 #include "app/faces/commands/simulate.h"
@@ -10,30 +11,31 @@ namespace {
 
 void add_commands(CLI::App& app, int& exit_code) {
   using namespace abcal;
-  add_run(app, exit_code);
-  add_resume(app, exit_code);
-  add_replay(app, exit_code);
-  add_record(app, exit_code);
+  add_instruments(app, exit_code);
   add_plan(app, exit_code);
   add_check(app, exit_code);
-  add_analyse(app, exit_code);
-  add_uncertainty(app, exit_code, one_process());
-  add_simulate(app, exit_code);
-  add_report(app, exit_code);
-  add_issue(app, exit_code);
-  add_lab(app, exit_code);
-  add_verify(app, exit_code);
-  add_temperature(app, exit_code);
   add_level(app, exit_code);
-  add_emulate(app, exit_code);
-  add_export(app, exit_code);
-  add_apply(app, exit_code);
-  add_compare(app, exit_code);
   add_gravity(app, exit_code);
+  add_self_test(app, exit_code);
+  add_run(app, exit_code);
+  add_resume(app, exit_code);
+  add_temperature(app, exit_code);
   add_serve(app, exit_code);
   add_bench(app, exit_code);
-  add_instruments(app, exit_code);
-  add_self_test(app, exit_code);
+  add_analyse(app, exit_code);
+  add_uncertainty(app, exit_code, one_process());
+  add_report(app, exit_code);
+  add_compare(app, exit_code);
+  add_export(app, exit_code);
+  add_apply(app, exit_code);
+  add_verify(app, exit_code);
+  add_issue(app, exit_code);
+  add_lab(app, exit_code);
+  add_emulate(app, exit_code);
+  add_simulate(app, exit_code);
+  add_replay(app, exit_code);
+  add_record(app, exit_code);
+  add_help(app);
   add_manual_option(app, std::string("abcal ") + program_version());
 }
 

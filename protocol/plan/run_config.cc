@@ -10,4 +10,16 @@ std::string to_string(const Problem& problem) {
   return text;
 }
 
+std::string list_of(const std::vector<Problem>& problems) {
+  std::string text;
+  for (const Problem& problem : problems) {
+    text += "\n  " + to_string(problem);
+    if (!problem.excerpt.empty()) text += "\n      " + problem.excerpt;
+    if (!problem.excerpt.empty() && problem.column > 0)
+      text += "\n      " + std::string(problem.column - 1, ' ') + "^";
+    if (!problem.corrected.empty()) text += "\n      " + problem.corrected + "   <- as it may be meant";
+  }
+  return text;
+}
+
 }  // namespace abcal

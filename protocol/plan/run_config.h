@@ -12,13 +12,20 @@ namespace abcal {
 
 /// One thing that is wrong with a bench file, a plan or an imported file, said so that a person can mend it.
 struct Problem {
-  std::string where;     ///< "line 12, [protocol] steps", "axis X".
-  std::string found;     ///< The text or value that was found.
-  std::string required;  ///< The required value, or the action to take.
+  std::string where;        ///< "line 12, [protocol] steps", "axis X".
+  std::string found;        ///< The text or value that was found.
+  std::string required;     ///< The required value, or the action to take.
+  std::string excerpt{};    ///< The line of the file, if it has one.
+  std::size_t column{0};    ///< The place in the excerpt, in characters from 1; 0: none.
+  std::string corrected{};  ///< The line as it may be meant; empty: no guess.
 };
 
 /// "line 12, [protocol] steps: found 2; required: 3 to 3600".
 std::string to_string(const Problem& problem);
+
+/// The problems of a file one below the other, indented, each with its line, a caret below the place, and the
+/// line as it may be meant. Begins with a line break, unless there are none.
+std::string list_of(const std::vector<Problem>& problems);
 
 /// The estimators by name; the program has one entry for each (app/results/estimates/estimators).
 inline constexpr std::array<std::string_view, 3> kEstimatorNames{"abc", "joint", "norm"};

@@ -53,7 +53,9 @@ TEST(BenchConfigTest, AnUnknownDriverIsToldOnceWithThoseThatAreKnown) {
   EXPECT_EQ(problems_of(toml),
             "bench file bench.toml: 1 problem\n"
             "  line 5, [stage] driver: found \"nope\"; required: one of \"newport_esp\", \"newport_xps\", "
-            "\"pi_gcs\", \"thorlabs_apt\", \"zaber_ascii\", \"simulated\", \"manual_stage\"");
+            "\"pi_gcs\", \"thorlabs_apt\", \"zaber_ascii\", \"simulated\", \"manual_stage\"\n"
+            "      driver = \"nope\"\n"
+            "               ^");
 }
 
 TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {

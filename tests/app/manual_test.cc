@@ -50,11 +50,11 @@ TEST_F(ManualTest, EveryCommandHasAPageWithItsOptions) {
   const std::string main_page = page("abcal.1");
   const std::string help = abcal({"--help"}).out;
   int commands = 0;
-  std::istringstream lines(help.substr(help.find("Subcommands:")));
-  std::string line;
-  std::getline(lines, line);
-  while (std::getline(lines, line) && line.starts_with("  ")) {
-    const std::string name = line.substr(2, line.find(' ', 2) - 2);
+  std::istringstream lines(help.substr(help.find("Prepare a bench:")));
+  for (std::string line; std::getline(lines, line) && !line.starts_with('`');) {
+    if (!line.starts_with("  ") || line.starts_with("   "))
+      continue;  // A group, or a description's second line.
+    const std::string name = line.substr(2, line.find_first_of(" ,", 2) - 2);  // "analyse, analyze"
     ++commands;
     const std::string troff = page("abcal-" + name + ".1");
     std::string escaped_name = name;
@@ -97,6 +97,69 @@ TEST_F(ManualTest, BashCompletesCommandsOptionsChoicesAndFiles) {
   EXPECT_THAT(completions({"abcal", "gravity", "--formula", ""}), IsSupersetOf({"grs80", "welmec"}));
   test::write_file(folder / "my bench.toml", "");
   EXPECT_THAT(completions({"abcal", "run", "my"}), Contains("my bench.toml"));
+}
+
+TEST_F(ManualTest, BashCompletesNestedCommandsAndTheFilesOfEachKind) {
+  ASSERT_EQ(written.exit_code, 0) << written.err;
+  EXPECT_THAT(completions({"abcal", "lab", ""}), IsSupersetOf({"init", "login", "add", "verify"}));
+  EXPECT_THAT(completions({"abcal", "lab", "add", ""}), AllOf(Contains("person"), Not(Contains("login"))));
+  EXPECT_THAT(completions({"abcal", "lab", "add", "person", "--"}), Contains("--role"));
+  for (const char* name : {"a.run", "b.toml", "c.txt"}) test::write_file(folder / name, "");
+  EXPECT_THAT(completions({"abcal", "resume", ""}), AllOf(Contains("a.run"), Not(Contains("b.toml"))));
+  EXPECT_THAT(completions({"abcal", "plan", ""}), AllOf(Contains("b.toml"), Not(Contains("c.txt"))));
+  EXPECT_THAT(completions({"abcal", "plan", "c"}), Contains("c.txt")) << "all files where none fits";
+}
+
+TEST_F(ManualTest, EveryPageHasExamplesEnvironmentFilesAndExitStatus) {
+  ASSERT_EQ(written.exit_code, 0) << written.err;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / "manual")) {
+    if (entry.path().extension() != ".1") continue;
+    const std::string troff = test::read_file(entry.path());
+    for (const char* section : {".SH ENVIRONMENT", ".SH FILES", ".SH EXIT STATUS"})
+      EXPECT_THAT(troff, HasSubstr(section)) << entry.path();
+    const bool is_of_a_command = entry.path().stem() != "abcal";
+    EXPECT_EQ(troff.find(".SH EXAMPLES") != std::string::npos, is_of_a_command) << entry.path();
+  }
+}
+
+/// What a person types who does not know the program.
+class FirstWordsTest : public ProgramTest {};
+
+TEST_F(FirstWordsTest, TheProgramAloneShowsItsCommandsInGroups) {
+  const ProgramResult result = abcal({});
+  EXPECT_EQ(result.exit_code, 2);
+  EXPECT_THAT(result.err,
+              AllOf(HasSubstr("Prepare a bench:"), HasSubstr("Measure:"), HasSubstr("abcal help COMMAND")));
+  EXPECT_THAT(result.err, Not(HasSubstr("required")));
+}
+
+TEST_F(FirstWordsTest, HelpIsACommandToo) {
+  EXPECT_EQ(abcal({"help"}).out, abcal({"--help"}).out);
+  const ProgramResult run = abcal({"help", "run"});
+  EXPECT_EQ(run.exit_code, 0);
+  EXPECT_EQ(run.out, abcal({"run", "--help"}).out);
+  EXPECT_THAT(run.out, AllOf(HasSubstr("BENCH"), HasSubstr("Examples:\n  abcal run ")));
+  EXPECT_EQ(abcal({"help", "lab", "add", "person"}).out, abcal({"lab", "add", "person", "--help"}).out);
+  EXPECT_EQ(abcal({"-v"}).out, abcal({"--version"}).out);
+  EXPECT_THAT(abcal({"-h"}).out, HasSubstr("Measure:"));
+}
+
+TEST_F(FirstWordsTest, AnUnknownCommandIsNamedWithTheOneThatWasMeant) {
+  for (const auto& [word, meant] : std::vector<std::pair<std::string, std::string>>{
+           {"rum", "abcal run"}, {"resme", "abcal resume"}, {"uncertainity", "abcal uncertainty"}}) {
+    const ProgramResult result = abcal({word, "a.run"});
+    EXPECT_EQ(result.exit_code, 2);
+    EXPECT_THAT(result.err, AllOf(HasSubstr("there is no command \"" + word + "\""),
+                                  HasSubstr("did you mean `" + meant + "`?")));
+  }
+  EXPECT_THAT(abcal({"lab", "logn"}).err, HasSubstr("did you mean `abcal lab login`?"));
+  EXPECT_THAT(abcal({"frobnicate"}).err, AllOf(HasSubstr("one of"), HasSubstr("uncertainty")));
+  EXPECT_THAT(abcal({"help", "rum"}).err, HasSubstr("did you mean `abcal run`?"));
+}
+
+TEST_F(FirstWordsTest, AnalyzeIsAnalyse) {
+  EXPECT_THAT(abcal({"analyze"}).err, HasSubstr("FILE is required"));
+  EXPECT_EQ(abcal({"analyze", "--help"}).exit_code, 0);
 }
 
 TEST_F(ManualTest, ZshCompletionIsAScript) {

@@ -143,6 +143,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<AnalyseOptions>();
   CLI::App* command = parent.add_subcommand(
       "analyse", "Sensitivity matrix, offsets and intrinsic properties of a run or CSV");
+  command->alias("analyze");
   command
       ->add_option("FILE", options->file,
                    "run file, or CSV of averaged readings (norm: of poses, or a time series)")

@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <stdexcept>
 #include <vector>
 
@@ -147,6 +148,32 @@ std::string commands_section(const CLI::App& command, const std::string& name) {
   return text;
 }
 
+/// The examples of a command (command_help.h), each in a line of its own.
+std::string examples_section(const CLI::App& command) {
+  std::istringstream lines(command.get_footer());
+  std::string text;
+  for (std::string line; std::getline(lines, line);)
+    if (line.starts_with("  ")) text += ".PP\n.nf\n" + troff(line) + "\n.fi\n";
+  return text.empty() ? "" : ".SH EXAMPLES\n" + text;
+}
+
+constexpr const char* kEnvironment =
+    ".SH ENVIRONMENT\n"
+    ".TP\nABCAL_REGISTER\nthe register of the laboratory: a file, or postgresql://USER@HOST/DATABASE\n"
+    ".TP\nABCAL_SIGNING_KEY\nthe key of the bench (PEM) for a witness beside the run\n"
+    ".TP\nABCAL_WITNESS\nthe socket of a witness that runs as a service\n"
+    ".TP\nABCAL_TIME_STAMP_AUTHORITY\nthe address of an authority (RFC 3161) that stamps closed runs\n"
+    ".TP\nABCAL_MAIL_USER, ABCAL_MAIL_PASSWORD\nfor messages by mail\n"
+    ".TP\nXDG_STATE_HOME\nthe folder of abcal's own files (default: ~/.local/state)\n"
+    ".TP\nNO_COLOR\nif set: no colours on the terminal\n";
+
+constexpr const char* kFiles =
+    ".SH FILES\n"
+    ".TP\n*.toml\na bench file, or a file of the laboratory\n"
+    ".TP\n*.run\na run: one SQLite file with plan, readings, events and the bench file\n"
+    ".TP\n*.run.results\nanalyses, approvals and certificates of a run\n"
+    ".TP\n~/.local/state/abcal/motion.log\nwho moved which stage, and each halt by the guard\n";
+
 constexpr const char* kExitStatus =
     ".SH EXIT STATUS\n"
     ".TP\n0\ndone\n"
@@ -242,75 +269,109 @@ std::map<std::string, std::string> manual_pages(const CLI::App& app, const std::
   for (const CLI::App* command : shown_commands(app)) {
     const std::string name = program + "-" + command->get_name();
     commands += fmt::format(".TP\n\\fB{}\\fR(1)\n{}\n", troff(name), troff(command->get_description()));
-    pages[name + ".1"] =
-        page(name, one_line(command->get_description()),
-             synopsis(*command, program + " " + command->get_name()) + ".SH DESCRIPTION\n" +
-                 troff(command->get_description()) + ".\n" + options_section(*command) +
-                 commands_section(*command, program + " " + command->get_name()) + kExitStatus + kSafety +
-                 fmt::format(".SH SEE ALSO\n\\fB{}\\fR(1)\n", troff(program)),
-             version, date);
+    pages[name + ".1"] = page(name, one_line(command->get_description()),
+                              synopsis(*command, program + " " + command->get_name()) + ".SH DESCRIPTION\n" +
+                                  troff(command->get_description()) + ".\n" + options_section(*command) +
+                                  commands_section(*command, program + " " + command->get_name()) +
+                                  examples_section(*command) + kEnvironment + kFiles + kExitStatus + kSafety +
+                                  fmt::format(".SH SEE ALSO\n\\fB{}\\fR(1)\n", troff(program)),
+                              version, date);
   }
   pages[program + ".1"] =
       page(program, "calibrate triaxial accelerometers with gravity",
            fmt::format(".SH SYNOPSIS\n\\fB{}\\fR \\fICOMMAND\\fR [\\fIOPTION\\fR]...\n", troff(program)) +
                ".SH DESCRIPTION\n" + troff(app.get_description()) + "\n" + commands + options_section(app) +
-               kExitStatus,
+               kEnvironment + kFiles + kExitStatus,
            version, date);
   return pages;
 }
 
-std::string bash_completion(const CLI::App& app) {
-  std::vector<std::string> names;
-  std::string cases;
-  for (const CLI::App* command : shown_commands(app)) {
-    names.push_back(command->get_name());
-    std::vector<std::string> words;
-    std::string values;
-    std::string positional;
-    for (const CLI::Option* option : shown_options(*command)) {
-      const std::vector<std::string> dashed = dashed_names(*option);
-      words.insert(words.end(), dashed.begin(), dashed.end());
-      const std::vector<std::string> list = choices(*option);
-      if (list.empty()) continue;
-      const std::string line = fmt::format("COMPREPLY=($(compgen -W {} -- \"$current\"))",
-                                           shell_word(fmt::format("{}", fmt::join(list, " "))));
-      if (dashed.empty()) {
-        positional = line;
-      } else {
-        values += fmt::format("        {}) {}; return ;;\n", fmt::join(dashed, "|"), line);
-      }
+namespace {
+
+/// The files that a positional argument is completed with: "*.toml" for BENCH, "*.run" for RUN; all for
+/// others.
+std::string file_pattern(const CLI::App& command) {
+  for (const CLI::Option* option : shown_options(command)) {
+    if (!dashed_names(*option).empty()) continue;
+    const std::string name = option->get_name(true);
+    if (name == "BENCH") return "*.toml";
+    if (name == "RUN") return "*.run";
+  }
+  return "";
+}
+
+/// What bash completes behind a command, and behind its own commands.
+/// @param path  "abcal lab add"
+/// @param commands_of  filled: the commands behind each path
+void add_bash_cases(const CLI::App& command, const std::string& path, std::string& commands_of,
+                    std::string& cases) {
+  std::vector<std::string> words;
+  std::string values, positional;
+  for (const CLI::Option* option : shown_options(command)) {
+    const std::vector<std::string> dashed = dashed_names(*option);
+    words.insert(words.end(), dashed.begin(), dashed.end());
+    const std::vector<std::string> list = choices(*option);
+    if (list.empty()) continue;
+    const std::string line = fmt::format("COMPREPLY=($(compgen -W {} -- \"$current\"))",
+                                         shell_word(fmt::format("{}", fmt::join(list, " "))));
+    if (dashed.empty()) {
+      positional = line;
+    } else {
+      values += fmt::format("        {}) {}; return ;;\n", fmt::join(dashed, "|"), line);
     }
-    cases += fmt::format("    {})\n", command->get_name());
-    if (!values.empty()) cases += "      case $previous in\n" + values + "      esac\n";
-    cases += fmt::format("      options={}\n", shell_word(fmt::format("{}", fmt::join(words, " "))));
-    if (!positional.empty())
-      cases += fmt::format("      [[ $current == -* ]] || {{ {}; return; }}\n", positional);
-    cases += "      ;;\n";
   }
-  std::vector<std::string> own;
-  for (const CLI::Option* option : shown_options(app)) {
-    for (const std::string& name : dashed_names(*option)) own.push_back(name);
+  cases += fmt::format("    {})\n", shell_word(path));
+  if (!values.empty()) cases += "      case $previous in\n" + values + "      esac\n";
+  cases += fmt::format("      options={}\n", shell_word(fmt::format("{}", fmt::join(words, " "))));
+  if (const std::string files = file_pattern(command); !files.empty())
+    cases += fmt::format("      files={}\n", shell_word(files));
+  if (!positional.empty())
+    cases += fmt::format("      [[ $current == -* ]] || {{ {}; return; }}\n", positional);
+  cases += "      ;;\n";
+  std::vector<std::string> names;
+  for (const CLI::App* inner : shown_commands(command)) {
+    if (inner->get_name().empty()) continue;  // A group of options.
+    names.push_back(inner->get_name());
+    add_bash_cases(*inner, path + " " + inner->get_name(), commands_of, cases);
   }
+  if (!names.empty())
+    commands_of +=
+        fmt::format("    [{}]={}\n", shell_word(path), shell_word(fmt::format("{}", fmt::join(names, " "))));
+}
+
+}  // namespace
+
+std::string bash_completion(const CLI::App& app) {
   const std::string program = app.get_name();
+  std::string commands_of, cases;
+  add_bash_cases(app, program, commands_of, cases);
   return fmt::format(
       "# bash completion for {0}; made from the command line's own help.\n"
       "_{0}() {{\n"
-      "  local current=${{COMP_WORDS[COMP_CWORD]}} previous=${{COMP_WORDS[COMP_CWORD-1]}} options=\n"
-      "  if (( COMP_CWORD == 1 )); then\n"
-      "    COMPREPLY=($(compgen -W {1} -- \"$current\"))\n"
-      "    return\n"
-      "  fi\n"
-      "  case ${{COMP_WORDS[1]}} in\n"
+      "  local current=${{COMP_WORDS[COMP_CWORD]}} previous=${{COMP_WORDS[COMP_CWORD-1]}}\n"
+      "  local options= files= path={0} word\n"
+      "  local -A commands=(\n{1}  )\n"
+      "  for word in \"${{COMP_WORDS[@]:1:COMP_CWORD-1}}\"; do\n"
+      "    [[ \" ${{commands[$path]:-}} \" == *\" $word \"* ]] && path+=\" $word\"\n"
+      "  done\n"
+      "  case $path in\n"
       "{2}"
       "  esac\n"
+      "  local names=${{commands[$path]:-}}\n"
       "  if [[ $current == -* ]]; then\n"
       "    COMPREPLY=($(compgen -W \"$options\" -- \"$current\"))\n"
+      "  elif [[ -n $names ]]; then\n"
+      "    [[ $path == {0} ]] && names+=\" help $options\"\n"
+      "    COMPREPLY=($(compgen -W \"$names\" -- \"$current\"))\n"
       "  else\n"
-      "    mapfile -t COMPREPLY < <(compgen -f -- \"$current\")\n"
+      "    [[ -z $files ]] || mapfile -t COMPREPLY < <(compgen -f -X \"!$files\" -- \"$current\"; compgen -d "
+      "-- "
+      "\"$current\")\n"
+      "    [[ ${{#COMPREPLY[@]}} -gt 0 ]] || mapfile -t COMPREPLY < <(compgen -f -- \"$current\")\n"
       "  fi\n"
       "}}\n"
       "complete -o filenames -F _{0} {0}\n",
-      program, shell_word(fmt::format("{} {}", fmt::join(names, " "), fmt::join(own, " "))), cases);
+      program, commands_of, cases);
 }
 
 std::string zsh_completion(const CLI::App& app) {

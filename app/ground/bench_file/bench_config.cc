@@ -17,7 +17,7 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
     : std::runtime_error([&] {
         std::string text = fmt::format("bench file {}: {} problem{}", file, problems.size(),
                                        problems.size() == 1 ? "" : "s");
-        for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+        text += list_of(problems);
         return text;
       }()),
       problems_(std::move(problems)) {}
@@ -30,14 +30,15 @@ BenchConfig parse_bench(std::string_view text, const std::string& source, const 
   std::vector<Problem> unreadable;
   const toml::table root =
       parse_toml(text, source, "a bench file; commented examples are in docs/examples", unreadable);
-  if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
+  if (root.empty() && !unreadable.empty()) throw BenchError(source, std::move(unreadable));
   BenchConfig config;
-  TomlReader reader(root, lookup);
+  TomlReader reader(root, lookup, text);
   visit_bench_file(reader, config);
   check_together(reader, root, config);
   reader.report_unknown();
-  if (auto problems = reader.take_problems(); !problems.empty())
-    throw BenchError(source, std::move(problems));
+  // The table of a file that is not TOML is that of its corrected lines: what else is wrong is said at once.
+  for (Problem& problem : reader.take_problems()) unreadable.push_back(std::move(problem));
+  if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   return config;
 }
 

@@ -1,15 +1,21 @@
 #include "app/ground/system/run_program.h"
 
+#include <fmt/ranges.h>
+
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdlib>
 #include <exception>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
+#include "app/ground/system/nearest_word.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/version.h"
 #include "drivers/instrument/instrument_error.h"
@@ -32,27 +38,71 @@ int explain_command_line(const CLI::App& app, const CLI::ParseError& error) {
     print_result("{}", text.str());
     return exit_code;
   }
-  print_log("{0}: {1}\nRun `{0} --help` or `{0} COMMAND --help` for commands and options.\n", app.get_name(),
-            error.what());
+  print_log("{0}: {1}\nRun `{0} help COMMAND` for the options of a command, `{0} help` for the commands.\n",
+            app.get_name(), error.what());
   return kExitUsage;
+}
+
+/// `help lab add` is `lab add --help`.
+std::vector<std::string> with_help_option(std::vector<std::string> words) {
+  if (words.empty() || words.front() != "help") return words;
+  words.erase(words.begin());
+  words.emplace_back("--help");
+  return words;
+}
+
+/// The answer to a word in the place of a command that is none: CLI11 says only that a command is missing.
+/// @return nothing if the commands are known
+std::optional<std::string> unknown_command(CLI::App& app, const std::vector<std::string>& words) {
+  CLI::App* parent = &app;
+  std::string path = app.get_name();
+  for (const std::string& word : words) {
+    if (word.starts_with("-") || parent->get_require_subcommand_min() == 0) return std::nullopt;
+    const std::vector<CLI::App*> commands = parent->get_subcommands([](const CLI::App*) { return true; });
+    const auto command =
+        std::ranges::find_if(commands, [&](const CLI::App* each) { return each->check_name(word); });
+    if (command == commands.end()) {
+      std::vector<std::string> names;
+      for (const CLI::App* each : commands)
+        if (!each->get_name().empty()) names.push_back(each->get_name());  // Groups of options have none.
+      const std::string meant = nearest_word(word, names);
+      return fmt::format(
+          "{0}: there is no command \"{1}\"; required: {2}\nRun `{0} help` for the commands.\n", path, word,
+          meant.empty() ? fmt::format("one of {}", fmt::join(names, ", "))
+                        : fmt::format("a known command: did you mean `{} {}`?", path, meant));
+    }
+    parent = *command;
+    path += " " + word;
+  }
+  return std::nullopt;
 }
 
 /// @return the exit code of the program.
 int run_command(int argc, char** argv, const ProgramDescription& program) {
   const std::string version = program.name + " " + program_version();
-  if (argc == 2 &&
-      argv[1] == std::string_view("--version")) {  // Other programs ask often: without all the commands.
+  const std::string_view only = argc == 2 ? argv[1] : "";
+  if (only == "--version" || only == "-v") {  // Other programs ask often: without all the commands.
     print_result("{}\n", version);
     return kExitDone;
   }
   int exit_code = kExitDone;
   CLI::App app(program.description, program.name);
-  app.set_version_flag("--version", version);
+  app.set_version_flag("-v,--version", version);
   app.require_subcommand(1);
   app.failure_message(CLI::FailureMessage::help);
   program.add_commands(app, exit_code);
+  std::vector<std::string> words = with_help_option({argv + std::min(argc, 1), argv + argc});
+  if (words.empty()) {
+    print_log("{}", app.help());
+    return kExitUsage;
+  }
+  if (const auto unknown = unknown_command(app, words)) {
+    print_log("{}", *unknown);
+    return kExitUsage;
+  }
   try {
-    app.parse(argc, argv);
+    std::ranges::reverse(words);  // CLI11 takes the last one first.
+    app.parse(words);
     return exit_code;
   } catch (const CLI::ParseError& error) {
     return explain_command_line(app, error);

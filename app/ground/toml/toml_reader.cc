@@ -1,14 +1,19 @@
 #include "app/ground/toml/toml_reader.h"
 
+#include <fmt/ranges.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <numbers>
+#include <optional>
 #include <sstream>
 
+#include "app/ground/system/nearest_word.h"
 #include "app/ground/system/output.h"
+#include "app/ground/toml/toml_mistake.h"
 
 namespace abcal {
 namespace {
@@ -17,6 +22,7 @@ namespace {
 constexpr std::size_t kLongestShown = 200;
 constexpr std::size_t kLongestRequired = 1000;
 constexpr std::size_t kMostProblems = 50;
+constexpr std::size_t kLongestExcerpt = 160;
 
 constexpr std::size_t kLargestTomlFile = 16U << 20U;  // bytes
 // Parts of one key, and brackets within each other. No file of ours comes near (3 and 2); tables within
@@ -105,19 +111,66 @@ std::string words_of(const toml::node& node) {
   return text.str();
 }
 
-std::size_t edit_distance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t above = row[j];
-      row[j] = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      diagonal = above;
-    }
+std::vector<std::string_view> lines_of(std::string_view text) {
+  std::vector<std::string_view> lines;
+  while (!text.empty()) {
+    const std::size_t end = std::min(text.find('\n'), text.size());
+    std::string_view line = text.substr(0, end);
+    if (line.ends_with('\r')) line.remove_suffix(1);
+    lines.push_back(line);
+    text.remove_prefix(std::min(end + 1, text.size()));
   }
-  return row[b.size()];
+  return lines;
+}
+
+bool is_control(char c) {
+  return static_cast<unsigned char>(c) < 0x20 || c == 0x7f;
+}
+
+/// A problem with its line, if that is short enough and has no character that moves a terminal's cursor.
+/// @param column  in characters from 1
+void show_line(Problem& problem, std::string_view line, std::size_t column, const std::string& corrected) {
+  if (line.empty() || line.size() > kLongestExcerpt) return;
+  problem.excerpt = line;
+  std::ranges::replace_if(problem.excerpt, is_control, ' ');
+  problem.column = column;
+  problem.corrected = corrected;
+  std::ranges::replace_if(problem.corrected, is_control, ' ');
+}
+
+/// Bytes before a column, which toml++ counts in characters from 1.
+std::size_t bytes_before(std::string_view line, std::size_t column) {
+  std::size_t at = 0;
+  for (std::size_t k = 1; k < column && at < line.size(); ++k) {
+    ++at;
+    while (at < line.size() && (static_cast<unsigned char>(line[at]) & 0xc0U) == 0x80) ++at;
+  }
+  return at;
+}
+
+/// The key that a word may mean: the word with its unit behind it ("rate" for "rate_hz"), else the nearest
+/// one.
+std::string meant_key(std::string_view written, const std::set<std::string>& known) {
+  static constexpr std::array<std::string_view, 14> kUnits{"hz",   "mps2", "s",         "ms",      "deg",
+                                                           "degc", "v",    "mv_per_g",  "percent", "hpa",
+                                                           "m",    "g",    "deg_per_s", "ohm"};
+  for (const std::string_view unit : kUnits) {
+    std::string with_unit = std::string(written) + "_" + std::string(unit);
+    if (known.contains(with_unit)) return with_unit;
+  }
+  return nearest_word(written, {known.begin(), known.end()});
+}
+
+/// Whether a text is a number, a date or a truth of TOML, which stand without quotes.
+bool is_value_without_quotes(const std::string& text) {
+  if (text.empty() || text.find_first_of("\"'\\\n") != std::string::npos) return false;
+  try {
+    const toml::table parsed = toml::parse("value = " + text);
+    const toml::node* value = parsed.get("value");
+    return parsed.size() == 1 && value != nullptr && value->is_value() && !value->is_string();
+  } catch (const toml::parse_error&) {
+    return false;
+  }
 }
 
 std::string parent_of(const std::string& path) {
@@ -146,6 +199,20 @@ std::string joined(const std::vector<std::string>& words) {
     if (!word.empty()) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
   }
   return text;
+}
+
+TomlReader::TomlReader(const toml::table& root, RecordLookup lookup, std::string_view text)
+    : root_(root), lookup_(std::move(lookup)), lines_(lines_of(text)) {}
+
+std::string_view TomlReader::line_at(std::uint32_t line) const {
+  return line == 0 || line > lines_.size() ? std::string_view() : lines_[line - 1];
+}
+
+std::string TomlReader::written_value(const toml::source_region& place) const {
+  if (place.begin.line != place.end.line) return {};
+  const std::string_view line = line_at(place.begin.line);
+  const std::size_t begin = bytes_before(line, place.begin.column);
+  return std::string(line.substr(begin, bytes_before(line, place.end.column) - begin));
 }
 
 void TomlReader::section(const std::string& path) {
@@ -583,9 +650,27 @@ void TomlReader::add_problem_at(std::uint32_t line, const std::string& where, co
 
 void TomlReader::problem(const toml::node& node, const std::string& where, const std::string& found,
                          const std::string& required) {
-  const std::uint32_t line = node.source().begin.line;
+  // A number, a date or a truth in quotes, where none belong.
+  const auto* text = node.as_string();
+  const bool is_value = text != nullptr && is_value_without_quotes(text->get());
+  problem_with_guess(node.source(), where, {where, found, required},
+                     is_value ? '"' + text->get() + '"' : std::string(),
+                     is_value ? text->get() : std::string());
+}
+
+void TomlReader::problem_with_guess(const toml::source_region& place, const std::string& where,
+                                    const Problem& words, std::string_view written,
+                                    const std::string& meant) {
+  const std::uint32_t line = place.begin.line;
   wrong_.insert(where);
-  found_.emplace_back(line, shown_problem(at(line) + display(where), found, required));
+  Problem shown = shown_problem(at(line) + display(where), words.found, words.required);
+  const std::string_view text = line_at(line);
+  std::string corrected;
+  const std::size_t begin = bytes_before(text, place.begin.column);
+  if (!meant.empty() && text.substr(begin).starts_with(written))
+    corrected = std::string(text).replace(begin, written.size(), meant);
+  show_line(shown, text, place.begin.column, corrected);
+  found_.emplace_back(line, std::move(shown));
 }
 
 const toml::node* TomlReader::find(const std::string& key) {
@@ -607,7 +692,15 @@ void TomlReader::read_text(const std::string& key, std::string& value,
   if (allowed && !(required && string->get().find_first_not_of(" \t\r\n") == std::string::npos)) {
     value = string->get();
   } else {
-    problem(*node, name(key), words_of(*node), wanted);
+    const auto quoted = [](const std::string& word) { return word.empty() ? word : '"' + word + '"'; };
+    if (string != nullptr) {
+      problem_with_guess(node->source(), name(key), {{}, words_of(*node), wanted}, quoted(string->get()),
+                         quoted(string->get().empty() ? "" : nearest_word(string->get(), choices)));
+    } else {  // A number or a truth without its quotes.
+      const bool is_plain = node->is_value() && choices.empty();
+      const std::string written = is_plain ? written_value(node->source()) : "";
+      problem_with_guess(node->source(), name(key), {{}, words_of(*node), wanted}, written, quoted(written));
+    }
   }
 }
 
@@ -636,22 +729,58 @@ void TomlReader::report_unknown(const toml::table& table, const std::string& pat
   for (const auto& [key, node] : table) {
     const std::string word(key.str());
     if (known.contains(word)) continue;
-    const std::string_view start = std::string_view(word).substr(0, kLongestShown);
-    const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
-      return edit_distance(start, a) < edit_distance(start, b);
-    });
-    const bool close = nearest != known.end() && edit_distance(start, *nearest) <= 2 + start.size() / 5;
-    problem(node, path.empty() ? word : path + "." + word,
-            node.is_table() ? "a section of this name" : "a key of this name",
-            close ? "a known key: did you mean \"" + *nearest + "\"?"
-                  : "one of " + joined({known.begin(), known.end()}));
+    const std::string meant = meant_key(std::string_view(word).substr(0, kLongestShown), known);
+    problem_with_guess(key.source(), path.empty() ? word : path + "." + word,
+                       {{},
+                        node.is_table() ? "a section of this name" : "a key of this name",
+                        meant.empty() ? "one of " + joined({known.begin(), known.end()})
+                                      : "a known key: did you mean \"" + meant + "\"?"},
+                       word, meant);
   }
 }
+
+namespace {
+
+/// The text as a table, after each line that is not TOML has been replaced by what it may mean.
+/// @return nothing if one of them is not clear
+std::optional<toml::table> parse_with_corrections(std::string_view text, const std::string& source,
+                                                  std::vector<Problem>& problems) {
+  std::vector<std::string> lines;
+  for (const std::string_view line : lines_of(text)) lines.emplace_back(line);
+  std::set<std::size_t> corrected_lines;
+  while (problems.size() < kMostProblems) {
+    try {
+      return toml::parse(fmt::format("{}\n", fmt::join(lines, "\n")), source);
+    } catch (const toml::parse_error& error) {
+      const toml::source_position place = error.source().begin;
+      const std::size_t index =
+          std::min<std::size_t>(std::max(place.line, 1U), std::max<std::size_t>(lines.size(), 1)) - 1;
+      std::string& line = lines.at(index);
+      const bool is_second = error.description().find("redefine") != std::string_view::npos;
+      const TomlMistake mistake = explain_toml_mistake(line, bytes_before(line, place.column), is_second);
+      Problem problem = shown_problem(fmt::format("line {}", index + 1), mistake.found, mistake.required);
+      std::ranges::replace_if(problem.found, is_control, ' ');
+      const bool is_removed = mistake.corrected == " ";
+      show_line(problem, line, is_removed ? 0 : place.column, is_removed ? "" : mistake.corrected);
+      problems.push_back(std::move(problem));
+      if (mistake.corrected.empty() || !corrected_lines.insert(index).second) return std::nullopt;
+      line = mistake.corrected;
+    }
+  }
+  return std::nullopt;
+}
+
+}  // namespace
 
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems) {
   if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
     problems.push_back({"the file", "nothing in it", kind});
+    return {};
+  }
+  if (text.starts_with("SQLite format 3")) {
+    problems.push_back({"the file", "a run file, or another file of SQLite",
+                        kind + ". `abcal analyse` gives the result of a run, `abcal resume` continues it"});
     return {};
   }
   if (const auto line = NestingCheck(text).line_too_deep()) {
@@ -660,15 +789,7 @@ toml::table parse_toml(std::string_view text, const std::string& source, const s
          fmt::format("at most {} parts of a key and {} nested brackets", kDeepestToml, kDeepestToml)});
     return {};
   }
-  try {
-    return toml::parse(text, source);
-  } catch (const toml::parse_error& error) {
-    problems.push_back(
-        {fmt::format("line {}, column {}", error.source().begin.line, error.source().begin.column),
-         shortened_text(error.description(), kLongestShown),
-         "TOML (key = value under [section]; text in quotes)"});
-    return {};
-  }
+  return parse_with_corrections(text, source, problems).value_or(toml::table{});
 }
 
 std::string read_text_file(const std::string& path, const std::string& kind, std::vector<Problem>& problems) {

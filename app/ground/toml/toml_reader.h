@@ -25,8 +25,8 @@ std::string joined(const std::vector<std::string>& words);
 class TomlReader final : public KeyVisitor {
  public:
   /// @param lookup  finds the record of `{ from = "RECORD" }`; empty: no register is configured
-  explicit TomlReader(const toml::table& root, RecordLookup lookup = {})
-      : root_(root), lookup_(std::move(lookup)) {}
+  /// @param text  the file: problems show their lines; empty: they do not
+  explicit TomlReader(const toml::table& root, RecordLookup lookup = {}, std::string_view text = {});
 
   void section(const std::string& path) override;
   void text(const std::string& key, std::string& value,
@@ -81,6 +81,13 @@ class TomlReader final : public KeyVisitor {
  private:
   void problem(const toml::node& node, const std::string& where, const std::string& found,
                const std::string& required);
+  /// Like problem(), with what the text of the value, or of the key, may have been meant to be.
+  void problem_with_guess(const toml::source_region& place, const std::string& where, const Problem& words,
+                          std::string_view written, const std::string& meant);
+  /// The line of the file, if it is short enough to be shown.
+  std::string_view line_at(std::uint32_t line) const;
+  /// A value as it stands in the file.
+  std::string written_value(const toml::source_region& place) const;
   const toml::node* find(const std::string& key);
   void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
                  bool required);
@@ -96,6 +103,7 @@ class TomlReader final : public KeyVisitor {
 
   const toml::table& root_;
   RecordLookup lookup_;
+  std::vector<std::string_view> lines_;
   const toml::table* table_ = nullptr;
   std::string path_;
   std::uint32_t entry_line_ = 0;  ///< Line of the list entry whose table is being visited.
@@ -105,7 +113,9 @@ class TomlReader final : public KeyVisitor {
   std::vector<std::pair<std::uint32_t, Problem>> found_;
 };
 
-/// Parses a TOML file into its table. A file that cannot be parsed, or is empty, is added to the problems.
+/// Parses a TOML file into its table. A line that is not TOML is added to the problems; if it is clear how
+/// each such line is meant, the table is that of the corrected lines, so that the other problems of the file
+/// can be found at the same time. Else, and for an empty file, the table is empty.
 /// @param kind  the expected content: "a bench file; commented examples are in docs/examples"
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems);

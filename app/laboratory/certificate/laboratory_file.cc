@@ -207,7 +207,7 @@ LaboratoryFileError::LaboratoryFileError(const std::string& source, std::vector<
     : std::invalid_argument([&] {
         std::string text = fmt::format("laboratory file {}: {} problem{}", source, problems.size(),
                                        problems.size() == 1 ? "" : "s");
-        for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+        text += list_of(problems);
         return text;
       }()),
       problems_(std::move(problems)) {}
@@ -219,8 +219,8 @@ ReadLaboratoryFile parse_laboratory_file(std::string_view toml, const std::strin
   file.text = toml;
   const toml::table root =
       parse_toml(toml, source, "a laboratory file; docs/examples/laboratory.toml is one", read.problems);
-  if (!read.problems.empty()) return read;
-  TomlReader keys(root);
+  if (root.empty() && !read.problems.empty()) return read;
+  TomlReader keys(root, {}, toml);
   std::string schema = "abcal.laboratory/1";
   keys.section("");
   keys.text("schema", schema, {"abcal.laboratory/1"});
@@ -234,7 +234,7 @@ ReadLaboratoryFile parse_laboratory_file(std::string_view toml, const std::strin
   keys.section("units");
   keys.texts("sensitivity", file.units);
   keys.report_unknown();
-  read.problems = keys.take_problems();
+  for (Problem& problem : keys.take_problems()) read.problems.push_back(std::move(problem));
   return read;
 }
 
