@@ -160,7 +160,7 @@ TEST_P(HumanMistakesTest, IsAnsweredWithItsLineAndTheRightOne) {
   }
 }
 
-// What is offered is accepted: by itself it leaves no mistake in the file, at least none of that line.
+// A corrected line is accepted: by itself it leaves no mistake in the file, at least none of that line.
 TEST_P(HumanMistakesTest, WhatIsOfferedIsAccepted) {
   if (GetParam().corrected.empty()) return;  // Nothing is offered.
   HumanMistake corrected = GetParam();

@@ -122,7 +122,7 @@ TEST_F(ManualTest, EveryPageHasExamplesEnvironmentFilesAndExitStatus) {
   }
 }
 
-/// What a person types who does not know the program.
+/// Words of a person who does not know the program.
 class FirstWordsTest : public ProgramTest {};
 
 TEST_F(FirstWordsTest, TheProgramAloneShowsItsCommandsInGroups) {

@@ -300,7 +300,7 @@ std::string file_pattern(const CLI::App& command) {
   return "";
 }
 
-/// What bash completes behind a command, and behind its own commands.
+/// The words that bash offers behind a command, and behind its own commands.
 /// @param path  "abcal lab add"
 /// @param commands_of  filled: the commands behind each path
 void add_bash_cases(const CLI::App& command, const std::string& path, std::string& commands_of,
