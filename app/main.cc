@@ -31,6 +31,8 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_verify(app, exit_code);
   add_issue(app, exit_code);
   add_lab(app, exit_code);
+  add_demo(app, exit_code);
+  add_docs(app, exit_code);
   add_emulate(app, exit_code);
   add_simulate(app, exit_code);
   add_replay(app, exit_code);

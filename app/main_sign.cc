@@ -14,7 +14,7 @@ namespace {
 
 void add_sign(CLI::App& parent) {
   struct Options {
-    std::string xml, key, certificate, output;
+    std::string xml, key, certificate, output, utc;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand("sign", "Add an enveloped XML signature to a document");
@@ -22,10 +22,11 @@ void add_sign(CLI::App& parent) {
   command->add_option("KEY", options->key, "private key (PEM, without a passphrase)")->required();
   command->add_option("CERTIFICATE", options->certificate, "its X.509 certificate (PEM)")->required();
   command->add_option("OUTPUT", options->output, "file to write")->required();
+  command->add_option("--utc", options->utc, "time of signing, 2026-03-01T12:00:00.000Z")->required();
   command->callback([options] {
     abcal::OutputFile(options->output)
-        .write(
-            abcal::add_xml_signature(abcal::read_file(options->xml), {options->key, options->certificate}));
+        .write(abcal::add_xml_signature(abcal::read_file(options->xml), {options->key, options->certificate},
+                                        options->utc));
   });
 }
 

@@ -23,7 +23,8 @@ void register_iio(DriverList& drivers) {
        .make = make_accelerometer_of<iio::IioAccelerometer>,
        .output_unit = "m/s2",
        .recognition = {"*IDN?\r\n", is_error_of_the_system}});
-  drivers.traits["iio"] = {.names_device = true};
+  // "Linux IIO" is a framework; its name of a device is that of the sensor inside the item.
+  drivers.traits["iio"] = {.names_device = true, .reports_maker = false, .reports_model = false};
 }
 
 }  // namespace abcal

@@ -18,6 +18,9 @@ struct DriverTraits {
   // Accelerometers.
   bool reads_volts = false;   ///< Whatever the unit of its output after scaling.
   bool names_device = false;  ///< The key `names` is the name of one device, not of u, v and w.
+  /// Whether the maker and the model that it reports are those of the item. False: they are the name of a
+  /// protocol or of a framework, or unknown. A serial number that it reports is always that of the item.
+  bool reports_maker = true, reports_model = true;
 
   // Chambers.
   bool tells_humidity = false;  ///< The chamber itself states whether it measures the relative humidity.

@@ -27,6 +27,8 @@ void register_mavlink(DriverList& drivers) {
        .make = make_accelerometer_of<MavlinkAccelerometer>,
        .output_unit = "m/s2",
        .recognition = {"", has_a_heartbeat}});
+  // "MAVLink" is a protocol, "PX4" a firmware.
+  drivers.traits["mavlink"] = {.reports_maker = false, .reports_model = false};
 }
 
 }  // namespace abcal

@@ -41,6 +41,7 @@ void register_text_line(DriverList& drivers) {
        .make = make_accelerometer_of<TextLineAccelerometer>,
        .generic = true,
        .recognition = {"", prints_numbers}});
+  drivers.traits["text_line"] = {.reports_maker = false, .reports_model = false};
   drivers.environments.push_back(
       {.name = "text_line",
        .serial = {9600, false},

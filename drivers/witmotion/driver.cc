@@ -26,6 +26,8 @@ void register_witmotion(DriverList& drivers) {
        .output_unit = "g",
        .example = "rate_hz = 100.0\nbaud = 115200\n",
        .recognition = {"", streams_frames}});
+  // The frames name neither; others make sensors with the same frames.
+  drivers.traits["witmotion"] = {.reports_maker = false, .reports_model = false};
 }
 
 }  // namespace abcal

@@ -12,6 +12,9 @@ constexpr std::string_view kStage = "stage_uncertainty";
 constexpr std::string_view kDefaultSource = "default";
 constexpr std::string_view kItem = "item_uncertainty";
 
+/// In the order of Shape.
+constexpr std::array<std::string_view, 4> kShapeNames{"normal", "rectangular", "triangular", "u-shaped"};
+
 template <Angle EffectSizes::*member>
 constexpr double degrees_of(const EffectSizes& sizes) {
   return (sizes.*member).deg();
@@ -98,6 +101,21 @@ std::string full_name(const EffectSizeKey& key) {
 
 }  // namespace
 
+std::string_view to_string(Shape shape) {
+  return kShapeNames[static_cast<std::size_t>(shape)];
+}
+
+std::optional<Shape> shape_named(std::string_view name) {
+  for (std::size_t i = 0; i < kShapeNames.size(); ++i)
+    if (kShapeNames[i] == name) return static_cast<Shape>(i);
+  return std::nullopt;
+}
+
+Shape EffectSizes::shape_of(std::string_view key) const {
+  const auto found = shapes.find(key);
+  return found == shapes.end() ? Shape::kNormal : found->second;
+}
+
 EffectSizes without_further_effects(EffectSizes sizes) {
   for (const EffectSizeKey& key : kKeys)
     if (key.is_further) key.set(sizes, 0.0);
@@ -123,6 +141,9 @@ void read_effect_sizes(const std::function<std::optional<double>(const std::stri
     }
     if (!found) continue;
     key.set(sizes, *found);
+    sizes.shapes.erase(std::string(key.key));
+    const Shape shape = shape_named(text(name + ".distribution").value_or("")).value_or(Shape::kNormal);
+    if (shape != Shape::kNormal) sizes.shapes.emplace(key.key, shape);
     if (source == kDefaultSource) {
       sizes.sources.erase(std::string(key.key));
     } else {
@@ -137,6 +158,8 @@ std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes)
     const std::string name = full_name(key);
     entries[name] = fmt::format("{:.17g}", key.get(sizes));
     const auto source = sizes.sources.find(key.key);
+    if (const Shape shape = sizes.shape_of(key.key); shape != Shape::kNormal)
+      entries[name + ".distribution"] = to_string(shape);
     entries[name + ".source"] = source == sizes.sources.end() ? std::string(kDefaultSource) : source->second;
   }
   return entries;

@@ -12,6 +12,19 @@
 
 namespace abcal {
 
+/// Shape of the distribution that a standard uncertainty was stated with.
+enum class Shape {
+  kNormal,
+  kRectangular,  ///< Between limits; nothing else is known.
+  kTriangular,   ///< Between limits; values near the middle are more likely.
+  kUShaped,      ///< A sine of known amplitude at an unknown phase.
+};
+
+/// "normal", "rectangular", "triangular", "u-shaped": as bench files and budgets write them.
+std::string_view to_string(Shape shape);
+/// The shape of a name; absent for any other text.
+std::optional<Shape> shape_named(std::string_view name);
+
 /// Standard uncertainties of everything that a stage and an item may do other than a perfect stage and a
 /// linear item would (`[stage_uncertainty]` and `[item_uncertainty]` of a bench file; docs/theory). Every
 /// estimator, the type B of ABC, Monte Carlo and the budget read the sizes of their effects here. A size of
@@ -50,6 +63,11 @@ struct EffectSizes {
   /// is absent was not stated: its size is the default, and results say so.
   std::map<std::string, std::string, std::less<>> sources = {};
 
+  /// Shapes other than the normal distribution, by the same keys.
+  std::map<std::string, Shape, std::less<>> shapes = {};
+  /// The shape that a size was stated with; one without an entry is normal.
+  Shape shape_of(std::string_view key) const;
+
   bool operator==(const EffectSizes&) const = default;
 };
 
@@ -78,16 +96,18 @@ struct EffectSizeKey {
 /// Every size, in the order in which files list them.
 std::span<const EffectSizeKey> effect_size_keys();
 
-/// Reads the sizes from the entries "SECTION.KEY" and "SECTION.KEY.source", and "tolerances.KEY" in a file of
-/// an older version. A size without an entry keeps its default and has no source. A value without a source
-/// has the source "stated"; one whose source is "default" has none.
+/// Reads the sizes from the entries "SECTION.KEY", "SECTION.KEY.source" and "SECTION.KEY.distribution"
+/// (absent: normal), and "tolerances.KEY" in a file of an older version. A size without an entry keeps its
+/// default and has no source. A value without a source has the source "stated"; one whose source is "default"
+/// has none.
 /// @param number  the value under a name, 0 to the largest value that is accepted (second argument)
 void read_effect_sizes(const std::function<std::optional<double>(const std::string&, double)>& number,
                        const std::function<std::optional<std::string>(const std::string&)>& text,
                        EffectSizes& sizes);
 
-/// Entries for read_effect_sizes(): "SECTION.KEY" with its value (17 digits), and "SECTION.KEY.source". A
-/// default is written too, with the source "default": a file keeps the sizes that were in force.
+/// Entries for read_effect_sizes(): "SECTION.KEY" with its value (17 digits), "SECTION.KEY.source", and
+/// "SECTION.KEY.distribution" where it is not normal. A default is written too, with the source "default": a
+/// file keeps the sizes that were in force.
 std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes);
 
 /// Words of the effects whose size is a default because none was stated, in the order of the table.

@@ -98,6 +98,12 @@ struct MeasuredAlignment {
   std::optional<MeasuredValue> zx, zy, xz;  ///< 1
 };
 
+/// Whether the alignment that an effect ("Zx", "Zy", "Xz") stands for was measured otherwise.
+inline bool is_measured(const MeasuredAlignment& alignment, std::string_view effect) {
+  return (effect == "Zx" && alignment.zx) || (effect == "Zy" && alignment.zy) ||
+         (effect == "Xz" && alignment.xz);
+}
+
 /// Everything that the analysis may know of a run. A stored run, an imported CSV and a live run are all this.
 struct RunRecord {
   std::string source;               ///< File it came from, for messages.

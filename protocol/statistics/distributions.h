@@ -33,6 +33,9 @@ double chi2_above(double probability, double degrees_of_freedom);
 /// P(chi2 with `degrees_of_freedom` >= `chi2`); NaN without degrees of freedom.
 double chi2_tail(double chi2, int degrees_of_freedom);
 
+/// P(value <= chi2), to its relative precision however small it is. NaN as chi2_tail().
+double chi2_lower_tail(double chi2, int degrees_of_freedom);
+
 /// The tail probability if the noise was estimated with `of_noise` degrees of freedom: P(F >= chi2 /
 /// degrees_of_freedom). Infinite: the noise is known.
 double f_tail(double chi2, int degrees_of_freedom, double of_noise);

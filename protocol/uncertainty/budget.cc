@@ -45,7 +45,17 @@ Eigen::Index position(Eigen::Index j, Eigen::Index component) {
 std::vector<std::string> sources_without_a_line(const RunRecord& record, bool resolution_given) {
   std::vector<std::string> out{"nutation of the stage's axes beyond its stated wobble",
                                "stress-induced distortion of the stage",
-                               "temperature and remounting of the accelerometer"};
+                               "temperature and remounting of the accelerometer",
+                               "torque of the mounting screws and pull of the cable",
+                               "self-heating that changes with the orientation",
+                               "magnetic fields",
+                               "vibration rectification"};
+  if (record.g_loc_known && !(record.g_loc.expanded_uncertainty_mps2 > 0.0))
+    out.emplace_back("local gravity in sensitivities per m/s2 (its uncertainty is not given)");
+  if (record.g_loc_known)
+    out.emplace_back(
+        "height of the item above the point of g_loc (3.1e-07 of g_loc per metre) and its tide "
+        "(1.5e-07), in sensitivities per m/s2");
   for (const EffectSizeKey& size : effect_size_keys())
     if (!size.uncovered.empty() && !(size.get(record.tolerances) > 0.0))
       out.push_back(fmt::format("{} ({} not given)", size.uncovered, size.key));
@@ -54,24 +64,68 @@ std::vector<std::string> sources_without_a_line(const RunRecord& record, bool re
   return out;
 }
 
-/// g_loc: results are per g_loc, so it contributes nothing.
-void add_gravity_to(const RunRecord& record, Budget& budget) {
+/// g_loc: it contributes to sensitivities per m/s2 and per standard g, not to those per g_loc.
+void add_gravity_to(const RunRecord& record, const CalibrationResult& result, Budget& budget) {
+  if (!record.g_loc_known || !(record.g_loc.coverage_factor > 0.0)) {
+    budget.notes.emplace_back("g_loc is not known: results are per g_loc.");
+    return;
+  }
+  // An uncertainty that is not given is named as not covered.
+  if (!(record.g_loc.expanded_uncertainty_mps2 > 0.0)) return;
+  const double g = record.g_loc.value_mps2;
   BudgetLine line;
   line.input = "g_loc";
+  line.value = std::to_string(g);
   line.unit = "m/s2";
-  line.distribution = "normal";
-  if (record.g_loc_known && record.g_loc.coverage_factor > 0.0) {
-    line.value = std::to_string(record.g_loc.value_mps2);
-    line.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
-    budget.notes.push_back(
-        "Results are per g_loc, so g_loc contributes nothing here; sensitivities per m/s2 carry "
-        "its relative standard uncertainty besides, angles and offsets do not.");
-  } else {
-    line.value = "not known";
-    line.standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
-    budget.notes.emplace_back("g_loc is not known: results are per g_loc.");
+  line.distribution = to_string(Shape::kNormal);
+  line.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
+  line.source = record.g_loc.source;
+  const OutputVector values = to_vector(outputs_of(result.sensitivity_values(), result.offset_values()));
+  line.contribution_per_mps2.setZero();
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    if (is_sensitivity(k))
+      line.contribution_per_mps2(k) = std::abs(values(k)) / g * line.standard_uncertainty / g;
   }
-  budget.lines.push_back(line);
+  budget.notes.emplace_back(
+      "g_loc contributes nothing to results per g_loc, to angles and to offsets. Sensitivities per m/s2 and "
+      "per standard g carry its relative standard uncertainty, all of them the same error.");
+  budget.lines.push_back(std::move(line));
+}
+
+/// Fills the contributions per m/s2 and both combined uncertainties.
+void combine(const RunRecord& record, Budget& budget) {
+  const bool known = record.g_loc_known && record.g_loc.coverage_factor > 0.0;
+  OutputVector per_g_loc = OutputVector::Zero(), per_mps2 = OutputVector::Zero();
+  for (BudgetLine& line : budget.lines) {
+    if (known && line.input != "g_loc") {
+      line.contribution_per_mps2 = line.contribution;
+      for (int k = 0; k < kStudyOutputs; ++k)
+        if (is_sensitivity(k)) line.contribution_per_mps2(k) /= record.g_loc.value_mps2;
+    }
+    per_g_loc += line.contribution.cwiseAbs2();
+    per_mps2 += line.contribution_per_mps2.cwiseAbs2();
+  }
+  budget.combined = per_g_loc.cwiseSqrt();
+  budget.combined_per_mps2 = per_mps2.cwiseSqrt();
+}
+
+/// Names key, source and distribution of a stated size.
+void describe_size(const EffectSizes& sizes, std::string_view key, BudgetLine& line) {
+  line.key = key;
+  line.distribution = to_string(sizes.shape_of(key));
+  const auto source = sizes.sources.find(key);
+  line.source = source == sizes.sources.end() ? "default" : source->second;
+}
+
+/// The degrees of freedom of a result are those of its readings alone: stated values have infinitely many.
+void set_degrees(const CalibrationResult& result, BudgetLine& readings) {
+  const std::vector<Quantity> quantities = quantities_of_outputs(result);
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    const Quantity& quantity = quantities[static_cast<std::size_t>(k)];
+    if (std::isfinite(quantity.degrees_of_freedom) && quantity.standard_uncertainty > 0.0)
+      readings.degrees_of_freedom(k) =
+          quantity.degrees_of_freedom * std::pow(readings.contribution(k) / quantity.standard_uncertainty, 4);
+  }
 }
 
 OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& covariance) {
@@ -84,25 +138,27 @@ Covariance12 add_voltmeter_to(const RunRecord& record, const CalibrationResult& 
                               const OutputJacobian& jacobian, Budget& budget) {
   const EffectSizes& sizes = record.tolerances;
   const VoltmeterShare share = voltmeter_share(result.sensitivity_values(), result.offset_values(), sizes);
-  const auto add = [&](const char* input, double size, const char* unit, const Covariance12& covariance) {
+  const auto add = [&](const char* input, const char* key, double size, const char* unit,
+                       const Covariance12& covariance) {
     if (!(size > 0.0)) return;
     BudgetLine line;
     line.input = input;
     line.value = "0";
     line.unit = unit;
-    line.distribution = "normal";
+    describe_size(sizes, key, line);
     line.standard_uncertainty = size;
     line.contribution = contributions(jacobian, covariance);
     line.sensitivity = line.contribution / size;
     budget.lines.push_back(std::move(line));
   };
-  add("gain of the voltmeter", sizes.voltmeter_gain, "1", share.gain);
-  add("offset of the voltmeter", sizes.voltmeter_offset, "of S", share.offset);
+  add("gain of the voltmeter", "voltmeter_gain", sizes.voltmeter_gain, "1", share.gain);
+  add("offset of the voltmeter", "voltmeter_offset", sizes.voltmeter_offset, "of S", share.offset);
   return share.gain + share.offset;
 }
 
 /// The scatter of the readings; without the one standard uncertainty that all of them might have.
-BudgetLine readings_line(std::string input, const RunRecord& record, const OutputVector& contribution) {
+BudgetLine readings_line(std::string input, const RunRecord& record, const CalibrationResult& result,
+                         const OutputVector& contribution) {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   BudgetLine line;
   line.input = std::move(input);
@@ -113,6 +169,8 @@ BudgetLine readings_line(std::string input, const RunRecord& record, const Outpu
   line.standard_uncertainty = kNone;
   line.contribution = contribution;
   line.sensitivity = OutputVector::Constant(kNone);
+  line.source = kThisRun;
+  set_degrees(result, line);
   return line;
 }
 
@@ -126,7 +184,7 @@ std::pair<std::string, double> shown_size(const EffectShare& share) {
 }
 
 /// Adds a note on changes during the run that the check poses found, or could have missed. The drifts of the
-/// stated sizes have lines of their own, so the check poses add no uncertainty.
+/// stated sizes have lines of their own: the check poses contribute nothing, and have no line.
 void add_check_poses_to(const RunRecord& record, Budget& budget) {
   const std::optional<CheckPoseStudy> study = compared_check_poses(record);
   if (!study) {
@@ -134,29 +192,22 @@ void add_check_poses_to(const RunRecord& record, Budget& budget) {
         "No check poses were compared: a change of the sensitivity late in experiment 3 would pass unseen.");
     return;
   }
-  const auto add = [&](const char* input, const std::array<PoseTrend, 3>& trends) {
-    const auto largest = [&](double PoseTrend::*of) {
+  const auto words = [](const char* of, const std::array<PoseTrend, 3>& trends) {
+    const auto largest = [&](double PoseTrend::*member) {
       double found = 0.0;
-      for (const PoseTrend& trend : trends) found = std::max(found, std::abs(trend.*of));
+      for (const PoseTrend& trend : trends) found = std::max(found, std::abs(trend.*member));
       return found;
     };
-    BudgetLine line;
-    line.input = input;
-    line.value = fmt::format("{:.1e}", largest(&PoseTrend::change));
-    line.unit = "of S";
-    line.distribution = "normal";
-    line.type_a = true;
-    line.standard_uncertainty = largest(&PoseTrend::standard_uncertainty);
-    budget.lines.push_back(std::move(line));
-    return largest(&PoseTrend::smallest_found);
+    return fmt::format("{} {:.1e} (u = {:.1e}; between two visits {:.1e} is found)", of,
+                       largest(&PoseTrend::change), largest(&PoseTrend::standard_uncertainty),
+                       largest(&PoseTrend::smallest_found));
   };
-  const double of_gain = add("check poses, change of gain", study->gain);
-  const double of_offset = add("check poses, change of offset", study->offset);
   budget.notes.push_back(fmt::format(
-      "Check poses, of S, the largest of u, v, w, from the first visit to the last: {} changes of a gain by "
-      "{:.1e} and of an offset by {:.1e} between two visits are found. What the stated drifts explain is in "
-      "the lines of the drifts, so that the check poses contribute nothing besides{}",
-      study->found.empty() ? "none was found;" : "A CHANGE WAS FOUND (see the verdict);", of_gain, of_offset,
+      "Check poses, of S, the largest of u, v, w, from the first visit to the last: change of a {}, of an "
+      "{}. "
+      "{} The stated drifts are in the lines of the drifts, and the check poses contribute nothing besides{}",
+      words("gain", study->gain), words("offset", study->offset),
+      study->found.empty() ? "No change was found." : "A CHANGE WAS FOUND (see the verdict).",
       study->found.empty() ? "." : "; what was found is not covered."));
 }
 
@@ -170,10 +221,15 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
     const auto [unit, size] = shown_size(share);
     BudgetLine line;
     line.input = share.effect;
+    line.key = share.key;
     if (share.unknowns > 1) line.input += fmt::format(", {} unknowns", share.unknowns);
     line.value = "estimated";
     line.unit = unit;
-    line.distribution = "normal";
+    describe_size(record.tolerances, share.key, line);
+    if (is_measured(record.measured_alignment, share.effect)) {
+      line.source = "measured";
+      line.distribution = to_string(Shape::kNormal);
+    }
     line.standard_uncertainty = share.prior_sd / size;
     line.contribution = contributions(jacobian, share.covariance);
     line.sensitivity = line.contribution / line.standard_uncertainty;
@@ -182,12 +238,11 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   }
   readings -= add_voltmeter_to(record, result, jacobian, budget);
   budget.lines.push_back(readings_line("readings (noise, and its process from angle to angle)", record,
-                                       contributions(jacobian, readings)));
+                                       result, contributions(jacobian, readings)));
   add_check_poses_to(record, budget);
-  add_gravity_to(record, budget);
+  add_gravity_to(record, result, budget);
+  combine(record, budget);
   budget.covariance = carried_covariance(jacobian, *result.covariance);
-  for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
-  budget.combined = budget.combined.cwiseSqrt();
   budget.not_covered = sources_without_a_line(record, false);
   return budget;
 }
@@ -214,12 +269,10 @@ class BudgetMaker {
     add_readings();
     if (resolution) add_resolution(*resolution);
     add_check_poses_to(record_, budget_);
-    add_gravity_to(record_, budget_);
+    add_gravity_to(record_, result_, budget_);
+    combine(record_, budget_);
     split_correction();
     budget_.covariance = budget_.type_b_covariance + carried_covariance(jacobian_, budget_.other_covariance);
-    OutputVector variance = OutputVector::Zero();
-    for (const BudgetLine& line : budget_.lines) variance += line.contribution.cwiseAbs2();
-    budget_.combined = variance.cwiseSqrt();
     budget_.not_covered = sources_without_a_line(record_, resolution.has_value());
     return budget_;
   }
@@ -238,10 +291,12 @@ class BudgetMaker {
       const OutputVector sensitivity = contribution / input.standard_uncertainty;
       line.unit = input.unit;
       line.input = input.group;
+      describe_size(record_.tolerances, input.key, line);
       line.standard_uncertainty = std::max(line.standard_uncertainty, input.standard_uncertainty);
       line.sensitivity += sensitivity.cwiseAbs2();
       line.contribution += contribution.cwiseAbs2();
-      if (drawn_by_monte_carlo(input)) {
+      // Monte Carlo draws the inputs of the published protocol; all others are added as normal.
+      if (in_published_protocol(input.key)) {
         budget_.type_b_covariance += contribution * contribution.transpose();
         const Eigen::Matrix<double, 12, 1> corrected = input.change - input.published_change;
         published_ += input.published_change * input.published_change.transpose();
@@ -255,7 +310,6 @@ class BudgetMaker {
     for (const std::string& group : order) {
       BudgetLine& line = groups[group];
       line.value = "0";
-      line.distribution = "normal";
       // One input alone keeps the sign of its sensitivity.
       line.sensitivity = members[group] == 1 ? signed_[group] : OutputVector(line.sensitivity.cwiseSqrt());
       line.contribution = line.contribution.cwiseSqrt();
@@ -279,21 +333,14 @@ class BudgetMaker {
                                product_transposed(budget_.by_correction, corrected_with_published_);
   }
 
-  // The inputs of the published protocol are drawn trial by trial; all others are added as normal.
-  static bool drawn_by_monte_carlo(const OutputEffect& input) {
-    static constexpr std::array<std::string_view, 7> kDrawn{"Zx", "Zy", "Xz", "d2", "d3", "F_X", "F_Z"};
-    return input.group.starts_with("f_") ||
-           std::find(kDrawn.begin(), kDrawn.end(), input.group) != kDrawn.end();
-  }
-
   void add_readings() {
     if (!result_.covariance_type_a) {
       budget_.notes.emplace_back("The readings carry no uncertainty and leave no residual: no type A line.");
       return;
     }
     const Covariance12& covariance = *result_.covariance_type_a;
-    BudgetLine line =
-        readings_line("readings (noise, fit residual)", record_, contributions(jacobian_, covariance));
+    BudgetLine line = readings_line("readings (noise, fit residual)", record_, result_,
+                                    contributions(jacobian_, covariance));
     // The typical standard uncertainty of a reading; each reading has its own.
     double sum = 0.0;
     for (const DwellRecord* dwell : dwells_) sum += dwell->u_mean ? dwell->u_mean->squaredNorm() / 3.0 : 0.0;
@@ -322,7 +369,8 @@ class BudgetMaker {
     line.input = "resolution of the output";
     line.value = "0";
     line.unit = record_.response_unit;
-    line.distribution = "rectangular";
+    line.distribution = to_string(Shape::kRectangular);
+    line.source = "stated";
     line.standard_uncertainty = step / std::sqrt(12.0);
     Covariance12 unit = Covariance12::Zero();
     for (const Eigen::Vector4d& share : shares_) {
@@ -358,6 +406,12 @@ class BudgetMaker {
 double Budget::share(const BudgetLine& line, int output) const {
   const double u = combined(output);
   return u > 0.0 ? line.contribution(output) * line.contribution(output) / (u * u) : 0.0;
+}
+
+double Budget::share_per_mps2(const BudgetLine& line, int output) const {
+  const double u = combined_per_mps2(output);
+  if (!(u > 0.0)) return u == 0.0 ? 0.0 : std::numeric_limits<double>::quiet_NaN();
+  return std::pow(line.contribution_per_mps2(output) / u, 2);
 }
 
 Budget make_budget(const RunRecord& record, const CalibrationResult& result,

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -11,23 +12,36 @@
 
 namespace abcal {
 
+/// Source of what the readings themselves show.
+inline constexpr const char* kThisRun = "this run";
+
 /// One input of the budget and its effect on every output, to first order (JCGM 100).
 struct BudgetLine {
   std::string input;         ///< "Zx", "f_1(1..72)", "noise of the readings" ...
   std::string value;         ///< Estimate of the input, as text: "0", "measured".
   std::string unit;          ///< Unit of the input and of its standard uncertainty.
-  std::string distribution;  ///< "normal", "rectangular"
+  std::string distribution;  ///< "normal", "rectangular", "triangular", "u-shaped": as it was stated.
   double standard_uncertainty = 0.0;
   /// Change of each output for a change of the input by one unit. For several like inputs (step errors; u, v,
   /// w of the readings) the root of the sum of squares. NaN if only the contribution is known.
   OutputVector sensitivity = OutputVector::Zero();
   OutputVector contribution = OutputVector::Zero();  ///< Standard uncertainty it causes in each output.
-  bool type_a = false;                               ///< From the scatter of readings.
+  /// The same where sensitivities are per m/s2 (R/(m/s2)); offsets and angles as in `contribution`. NaN where
+  /// g_loc is not known. Per standard g (9.80665 m/s2, exact) all are that many times larger.
+  OutputVector contribution_per_mps2 = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
+  /// Degrees of freedom of each contribution; infinite for a stated value. Together they give those of the
+  /// result (Welch-Satterthwaite).
+  OutputVector degrees_of_freedom = OutputVector::Constant(std::numeric_limits<double>::infinity());
+  std::string key;      ///< Key of its size in the bench file; empty: it has none.
+  std::string source;   ///< Source of the standard uncertainty: as stated, "default" or "this run".
+  bool type_a = false;  ///< From the scatter of readings.
 };
 
 struct Budget {
   std::vector<BudgetLine> lines;
   OutputVector combined = OutputVector::Zero();  ///< Root of the sum of squares of the contributions.
+  /// The same of contribution_per_mps2: for sensitivities in SI units and per standard g.
+  OutputVector combined_per_mps2 = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
   OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Due to the inputs that Monte Carlo
                                                                   ///< draws.
   OutputCovariance covariance = OutputCovariance::Zero();         ///< Due to all lines.
@@ -44,6 +58,8 @@ struct Budget {
   std::vector<std::string> notes;
 
   double share(const BudgetLine& line, int output) const;  ///< Share of the variance of an output, 0..1.
+  /// As share(), of the output in SI units or per standard g. NaN where g_loc is not known.
+  double share_per_mps2(const BudgetLine& line, int output) const;
 };
 
 /// The budget of an ABC or a joint result. Its combined uncertainty is that of the result. The covariances

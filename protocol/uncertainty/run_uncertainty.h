@@ -31,16 +31,49 @@ struct UncertaintyOptions {
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };
 
-/// The uncertainty of one run's ABC result.
+/// An output whose Monte Carlo contradicts the uncertainty that the result states.
+struct StudyDifference {
+  int output = 0;            ///< As in study_output.h.
+  std::string of;            ///< "standard uncertainty", "half 95 % interval"
+  double monte_carlo = 0.0;  ///< u, or half the length of the interval.
+  double stated = 0.0;       ///< u of the result, or its U for 95 %.
+};
+
+/// Monte Carlo of the joint result beside what the result states.
+struct JointComparison {
+  OutputVector standard_uncertainty = OutputVector::Zero();  ///< As the result states it.
+  OutputVector expanded_95 = OutputVector::Zero();           ///< With k for its degrees of freedom.
+  std::vector<StudyDifference> differences;                  ///< Above kNamedDifference.
+  int solved_in_full = 0;  ///< Trials that were solved again by the estimator itself.
+  int not_converged = 0;   ///< Those of them without a solution.
+  /// Root mean square over these trials of the difference of the two solutions, in u: of the worst output.
+  double largest_deviation = 0.0;
+};
+
+/// A difference between Monte Carlo and a stated uncertainty above this share is named.
+inline constexpr double kNamedDifference = 0.1;
+
+/// Says to readers what the Monte Carlo of the joint result can show.
+inline constexpr const char* kWhatIsChecked =
+    "Each trial draws every effect from its stated distribution and the noise from its fitted model, makes "
+    "the "
+    "readings of the fitted item and applies the whole estimator to them. It checks linearity and the shapes "
+    "of the distributions. It does not check the model.";
+
+/// Trials of the joint estimator unless others are asked for: 95 % intervals to some 2 % of their length.
+inline constexpr std::uint64_t kJointTrials = 10'000;
+
+/// The uncertainty of one run's result.
 struct RunUncertainty {
+  std::string estimator = "abc";  ///< "abc", "joint"
   std::string source;
   std::string response_unit;
   Tolerances tolerances;
   std::uint64_t seed = 1;
-  CalibrationResult result;   ///< analyse_abc of the run.
+  CalibrationResult result;   ///< That of the estimator.
   StudyOutput value;          ///< Its 18 outputs.
-  MonteCarloResult type_b;    ///< Errors due to the calibration system.
-  MonteCarloResult type_a;    ///< Values, by the paper's section 6. Zero trials: interrupted before.
+  MonteCarloResult type_b;    ///< ABC: errors due to the calibration system.
+  MonteCarloResult type_a;    ///< ABC: values, by the paper's section 6. Zero trials: interrupted before.
   bool acs_measured = false;  ///< Measured system errors entered the type A evaluation.
   MonteCarloResult combined;  ///< Errors due to the whole budget.
   Budget budget;
@@ -50,13 +83,27 @@ struct RunUncertainty {
       OutputVector::Zero();  ///< Combined: Monte Carlo, or the preset with type A.
   StudyOutput bounds;        ///< Section 5's bounds for this accelerometer.
   bool paper_preset = false;
+  std::optional<JointComparison> joint;  ///< For a joint result.
+  std::string no_trials;                 ///< Why no Monte Carlo was made; empty: it was.
   std::vector<std::string> warnings;
   bool interrupted = false;
 };
 
-/// Type B by Monte Carlo with the record's tolerances, type A, the budget, and both combined.
+/// For the ABC result: type B by Monte Carlo with the record's tolerances, type A, the budget, and both
+/// combined.
 /// @throws std::invalid_argument for options and tolerances out of range
 /// @throws std::runtime_error if the run cannot be analysed
 RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
+
+/// For the joint result: its budget, and Monte Carlo of the whole estimator (protocol/uncertainty/
+/// joint_trials.h), which checks that the estimator is linear enough and its distributions normal enough for
+/// the stated uncertainty. It draws from the model of the fit, so it cannot check the model. The options
+/// measured, resolution and paper_preset are not used.
+/// @throws as run_uncertainty()
+RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
+
+/// For a joint result that comes from a common fit of several items: its budget and what it states. Monte
+/// Carlo of a common fit is not made, and `no_trials` says so.
+RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result);
 
 }  // namespace abcal

@@ -57,6 +57,14 @@ std::string output_unit(int k, std::string_view response_unit) {
   return std::string(response_unit) + (offset ? "" : "/g_loc");
 }
 
+std::vector<Quantity> quantities_of_outputs(const CalibrationResult& result) {
+  std::vector<Quantity> out;
+  for (const auto& row : *result.sensitivity_matrix) out.insert(out.end(), row.begin(), row.end());
+  for (const auto* three : {&result.offset, &result.intrinsic_sensitivity, &result.intrinsic_angle})
+    out.insert(out.end(), three->begin(), three->end());
+  return out;
+}
+
 std::vector<int> worst_of_each_kind(const OutputVector& u) {
   std::vector<int> worst;
   const auto largest = [&](const std::vector<int>& members) {

@@ -7,6 +7,8 @@
 #include <string_view>
 #include <vector>
 
+#include "protocol/estimators/shared/calibration_result.h"
+
 namespace abcal {
 
 /// Number of outputs of a study: 9 elements of s row by row, 3 O, 3 intrinsic sensitivities, 3 intrinsic
@@ -34,6 +36,14 @@ StudyOutput to_output(const OutputVector& vector);
 /// The outputs that belong to a sensitivity matrix and an offset: norms of the rows and the angles between
 /// them (by atan2; docs/theory/model.md).
 StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset);
+
+/// The outputs of a result as quantities, in the order of kStudyOutputs. It has a sensitivity matrix.
+std::vector<Quantity> quantities_of_outputs(const CalibrationResult& result);
+
+/// Whether output k is a sensitivity, so that it is per g_loc.
+constexpr bool is_sensitivity(int k) {
+  return k < kFirstOffset || (k >= kFirstIntrinsicSensitivity && k < kFirstIntrinsicAngle);
+}
 
 /// One output for each kind (diagonal and other elements of s, O, s_j, phi): that with the largest
 /// uncertainty. Positions as in study_output.h.

@@ -113,6 +113,13 @@ TEST_F(BrokenOutputTest, CtrlCThatEndsTheReaderTooLeavesAResumableRunWithItsReas
   EXPECT_EQ(abcal({"resume", "a.run"}).exit_code, 0);
 }
 
+/// A bench whose accelerometer reports no identity, so that [item] may name any.
+BenchText without_identity() {
+  BenchText bench;
+  bench.accelerometer_driver = "simulated";
+  return bench;
+}
+
 TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByATerminal) {
   bench.stage_driver = "\\u001b]0;title\\u0007\\u202e\\u009b2J";
   write_bench(bench);
@@ -121,7 +128,7 @@ TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByATerminal) {
   EXPECT_THAT(refused.err, HasSubstr("found \"\\u001b]0;title\\u0007\\u202e\\u009b2J\""));
 
   const std::string item = "[item]\nmodel = \"TA\\u001b[31m\\u202e\"\nserial_number = \"\\u009b1\"\n";
-  test::write_file(folder / "item.toml", item + BenchText{}.text());
+  test::write_file(folder / "item.toml", item + without_identity().text());
   const test::ProgramResult run = abcal({"run", "item.toml", "-o", "a.run"});
   ASSERT_EQ(run.exit_code, 0) << run.err;
   const test::ProgramResult report = abcal({"report", "a.run"});
@@ -138,7 +145,7 @@ TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByATerminal) {
 TEST_F(BrokenOutputTest, NothingOfABenchFileIsObeyedByAReaderOfAnExport) {
   const std::string item =
       "[item]\nmodel = \"TA\\u001b[31m\\u202e\\nint x;\"\nserial_number = \"\\u009b1\"\n";
-  test::write_file(folder / "item.toml", item + BenchText{}.text());
+  test::write_file(folder / "item.toml", item + without_identity().text());
   ASSERT_EQ(abcal({"run", "item.toml", "-o", "a.run"}).exit_code, 0);
   std::vector<std::vector<std::string>> exports{{"report", "a.run", "--csv"}};
   for (const char* format : {"json", "csv", "c", "px4", "ardupilot", "ros", "imucal"})

@@ -71,6 +71,13 @@ wobble_urad = { expanded_uncertainty = 30, k = 2, source = "certificate 4711" }
   EXPECT_DOUBLE_EQ(sizes.initial_turn.deg(), 0.02 / std::sqrt(2.0));
   EXPECT_EQ(sizes.wobble_urad, 15.0);
   EXPECT_EQ(sizes.sources.at("wobble_urad"), "certificate 4711 (U = 30 urad, k = 2)");
+  // The distributions stay with the sizes, and a written file keeps them.
+  const std::map<std::string, Shape, std::less<>> shapes{{"zero_deg", Shape::kRectangular},
+                                                         {"step_deg", Shape::kTriangular},
+                                                         {"initial_turn_deg", Shape::kUShaped}};
+  EXPECT_EQ(sizes.shapes, shapes);
+  const BenchConfig again = parse_bench(write_bench(config), "again");
+  EXPECT_EQ(again.items.front().tolerances, sizes);
 }
 
 TEST(EffectKeysTest, EveryMistakeIsReportedAtOnceWithItsLineRangeAndUnit) {
@@ -185,8 +192,8 @@ TEST(EffectKeysTest, TheExamplesOfThePageAreReadAsTheirTextSays) {
   EXPECT_NEAR(sizes.k3, 5.8e-4, 5e-6);
   EXPECT_NEAR(sizes.hysteresis, 2.9e-5, 5e-7);
   EXPECT_TRUE(both.warnings.empty());
-  EXPECT_EQ(unstated_effects(sizes).size(), 1U) << default_effects_words(sizes);
-  EXPECT_THAT(default_effects_words(sizes), HasSubstr("non-linearity of orders 4 and 5"));
+  EXPECT_EQ(unstated_effects(sizes).size(), 1U) << default_effects_words(sizes, Advice::kNone);
+  EXPECT_THAT(default_effects_words(sizes, Advice::kNone), HasSubstr("non-linearity of orders 4 and 5"));
 }
 
 TEST(EffectKeysTest, ANumberAloneHasNoSource) {
@@ -211,10 +218,13 @@ TEST(EffectKeysTest, ANumberAloneHasNoSource) {
 
 TEST(EffectKeysTest, DefaultsAreNamed) {
   const BenchConfig config = bench_with("[stage_uncertainty]\nwobble_urad = 12\n");
-  const std::string words = default_effects_words(config.items.front().tolerances);
+  const std::string words = default_effects_words(config.items.front().tolerances, Advice::kForOperator);
   EXPECT_THAT(words, HasSubstr("default sizes are used"));
   EXPECT_THAT(words, HasSubstr("hysteresis"));
   EXPECT_THAT(words, Not(HasSubstr("wobble")));
+  EXPECT_THAT(words, HasSubstr("; state them in [stage_uncertainty]"));
+  EXPECT_THAT(default_effects_words(config.items.front().tolerances, Advice::kNone),
+              Not(HasSubstr("state them")));
 }
 
 TEST(EffectKeysTest, TheSimulatedWorldTakesEveryEffectAndGivesItBack) {

@@ -198,7 +198,7 @@ TEST_F(ProgramTest, AFullDiskHaltsTheStageKeepsTheAnglesAndCanBeResumed) {
   EXPECT_LT(stored.measured.size(), stored.header.plan.size());
   const ProgramResult resumed = abcal({"resume", "a.run"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
-  EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and resumed once"));
+  EXPECT_THAT(test::unwrapped(resumed.out), HasSubstr("the run was interrupted and resumed once"));
   EXPECT_EQ(RunFile::load(folder / "a.run").state, RunState::kComplete);
 }
 
@@ -334,7 +334,10 @@ class OneInstrumentOnTwoPorts : public EmulatedBenchTest {
 
   /// The first run measures; the second one is refused with its words.
   void expect_refused(const std::string& instrument) {
-    Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
+    // It lasts until it is interrupted, however late the second one asks.
+    BenchText slow = bench;
+    slow.protocol = "steps = 12\nstep_deg = 30.0\nsettle_s = 0.05\ndwell_readings = 400\n";
+    Program run({"run", write_bench(slow, "slow.toml"), "-o", "a.run"}, folder.path());
     ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << run.err();
     const ProgramResult refused = abcal({"run", "other.toml", "-o", "b.run"});
     EXPECT_EQ(refused.exit_code, 3) << refused.out;

@@ -169,8 +169,9 @@ TEST_F(StudyCommands, SystemErrorsThatAJointAnalysisMeasuredEnterTheTypeAEvaluat
   const ProgramResult joint = abcal({"analyse", "a.run", "--estimator", "joint", "--json"});
   ASSERT_EQ(joint.exit_code, 0) << joint.err;
   test::write_file(folder / "acs.json", joint.out);
-  const Json without = json_of({"uncertainty", "a.run", "--trials", "2000"});
-  const Json with = json_of({"uncertainty", "a.run", "--trials", "2000", "--measured-acs", "acs.json"});
+  const Json without = json_of({"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000"});
+  const Json with = json_of(
+      {"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000", "--measured-acs", "acs.json"});
   const auto u = [](const Json& study) {  // type A of s_uy
     return study.at("cases")
         .at(1)
@@ -186,9 +187,52 @@ TEST_F(StudyCommands, SystemErrorsThatAJointAnalysisMeasuredEnterTheTypeAEvaluat
 
   test::write_file(folder / "abc.json", abcal({"analyse", "a.run", "--estimator", "abc", "--json"}).out);
   const ProgramResult wrong =
-      abcal({"uncertainty", "a.run", "--trials", "2000", "--measured-acs", "abc.json"});
+      abcal({"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000", "--measured-acs", "abc.json"});
   EXPECT_EQ(wrong.exit_code, 2);
   EXPECT_THAT(wrong.err, AllOf(HasSubstr("abc.json"), HasSubstr("not the JSON of a joint analysis")));
+}
+
+// A run answers for the estimator that it declared: the number that a user reads after `analyse` is the one
+// that `uncertainty` is about.
+TEST_F(StudyCommands, TheUncertaintyIsThatOfTheDeclaredEstimator) {
+  test::write_file(folder / "bench.toml",
+                   "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"simulated\"\nport = \"simulated\"\n"
+                   "[accelerometer]\ndriver = \"simulated\"\nport = \"simulated\"\nrate_hz = 200.0\n"
+                   "[protocol]\nestimator = \"joint\"\ncheck_poses = false\nsteps = 12\nstep_deg = 30.0\n"
+                   "settle_s = 0.05\ndwell_readings = 20\n[simulation]\nnoise = 1e-5\n");
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
+  const Json analysed = json_of({"analyse", "a.run"});
+  ASSERT_EQ(analysed.at("estimator"), "joint");
+  const Json study = json_of({"uncertainty", "a.run", "--trials", "2000"});
+  EXPECT_EQ(study.at("schema"), "abcal.study/1");
+  EXPECT_EQ(study.at("estimator"), "joint");
+  EXPECT_EQ(study.at("cases").size(), 1U);
+  EXPECT_THAT(study.at("cases").at(0).at("name").get<std::string>(), StartsWith("joint: "));
+  EXPECT_THAT(study.at("cases").at(0).at("note").get<std::string>(), HasSubstr("does not check the model"));
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const Json& stated = analysed.at("sensitivity_matrix").at(j).at(k);
+      EXPECT_EQ(study.at("value").at("sensitivity_matrix").at(j).at(k), stated.at("value"));
+      EXPECT_EQ(study.at("posterior").at("standard_uncertainty").at("sensitivity_matrix").at(j).at(k),
+                stated.at("standard_uncertainty"));
+      const Json& interval = study.at("interval").at("sensitivity_matrix").at(j).at(k);
+      EXPECT_LT(interval.at(0).get<double>(), stated.at("value").get<double>());
+      EXPECT_GT(interval.at(1).get<double>(), stated.at("value").get<double>());
+    }
+  }
+  const ProgramResult text = abcal({"uncertainty", "a.run", "--trials", "2000"});
+  EXPECT_THAT(text.out, HasSubstr("Uncertainty of the joint result of a.run"));
+  EXPECT_EQ(abcal({"uncertainty", "a.run", "--trials", "2000", "--threads", "3"}).out, text.out);
+
+  const Json abc = json_of({"uncertainty", "a.run", "--trials", "2000", "--estimator", "abc"});
+  EXPECT_EQ(abc.at("estimator"), "abc");
+  ASSERT_EQ(abc.at("cases").size(), 3U);
+  for (const Json& one : abc.at("cases")) EXPECT_THAT(one.at("name").get<std::string>(), StartsWith("abc: "));
+
+  const ProgramResult wrong = abcal({"uncertainty", "a.run", "--preset", "paper"});
+  EXPECT_EQ(wrong.exit_code, 2);
+  EXPECT_THAT(wrong.err, AllOf(HasSubstr("--preset"), HasSubstr("--estimator abc")));
+  EXPECT_EQ(abcal({"uncertainty", "a.run", "--estimator", "norm"}).exit_code, 2);
 }
 
 TEST_F(StudyCommands, SeveralProcessesGiveTheSameBitsAsOne) {

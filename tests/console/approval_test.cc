@@ -117,7 +117,8 @@ TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
   const test::Answer again = approve("Approver N. N.");
   EXPECT_EQ(again.status, 409U) << again.body;
   EXPECT_THAT(again.body, HasSubstr(number));
-  const test::Answer amended = approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer");
+  const test::Answer amended =
+      approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer&amendment=administrative");
   EXPECT_EQ(amended.status, 200U) << amended.body;
   ASSERT_EQ(state()["certificates"].size(), 2U);
   EXPECT_EQ(state()["certificates"][1]["replaces"], number);
@@ -247,7 +248,8 @@ TEST_F(ApprovalByKeyTest, TheApproverSignsElsewhere) {
   EXPECT_EQ(hand_in(signed_xml).status, 409U) << "twice";
   EXPECT_EQ(prepare().status, 409U) << "the form is older than the certificate";
 
-  const std::string amended = prepared("&replaces=" + number + "&reason=a+wrong+customer");
+  const std::string amended =
+      prepared("&replaces=" + number + "&reason=a+wrong+customer&amendment=administrative");
   EXPECT_EQ(hand_in(signed_by(amended, "approver")).status, 200U);
   EXPECT_EQ(state()["certificates"][1]["replaces"], number);
 }
@@ -341,11 +343,15 @@ TEST_F(TrayApprovalTest, EachItemIsApprovedByItself) {
   // A certificate of another item is independent, and replaces none.
   item = 3;
   EXPECT_EQ(state()["certificates"], Json::array());
-  EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=none").status, 409U);
+  EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=none&amendment=administrative").status,
+            409U);
   EXPECT_EQ(approve("Approver N. N.").status, 200U);
   EXPECT_NE(number_of(3), number);
   item = 2;
-  EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer").status, 200U);
+  EXPECT_EQ(
+      approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer&amendment=administrative")
+          .status,
+      200U);
   ASSERT_EQ(state()["certificates"].size(), 2U);
   EXPECT_EQ(state()["certificates"][1]["replaces"], number);
   const auto verified = test::run_program({"verify", "runs/tray.run"}, folder.path());

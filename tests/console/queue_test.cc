@@ -158,8 +158,8 @@ TEST(ItemCheckTest, JudgesIdentity) {
   };
   EXPECT_EQ(grade("SN 2", "SN 2"), Finding::Grade::kGood);
   EXPECT_EQ(grade("SN 2", "111"), Finding::Grade::kProblem) << "it has not been changed";
-  EXPECT_EQ(grade("SN 1", "111"), Finding::Grade::kWarning) << "the same item again, by another name";
-  EXPECT_EQ(grade("SN 2", "222"), Finding::Grade::kWarning);
+  EXPECT_EQ(grade("SN 1", "111"), Finding::Grade::kProblem) << "the same item again, by another name";
+  EXPECT_EQ(grade("SN 2", "222"), Finding::Grade::kProblem);
   EXPECT_EQ(grade("SN 2", ""), Finding::Grade::kLeftOut);
   EXPECT_EQ(grade("SN 2", "111", true), Finding::Grade::kLeftOut);
 }

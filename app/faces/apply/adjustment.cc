@@ -48,8 +48,8 @@ ResponseErrors errors_with(const CorrectionConstants& constants, const OutputCor
   // raw = A0^-1 (S a + b) + b0
   errors.gain = held.matrix * inverse * S - Eigen::Matrix3d::Identity();
   errors.offset = held.matrix * (inverse * constants.b + in_force.offset - held.offset);
-  errors.u_gain = constants.u_M / constants.unit_mps2.value_or(1.0);
-  errors.u_offset = constants.u_b;
+  errors.u_gain = constants.u_M() / constants.unit_mps2.value_or(1.0);
+  errors.u_offset = constants.u_b();
   return errors;
 }
 

@@ -9,7 +9,9 @@
 #include <utility>
 #include <vector>
 
+#include "app/faces/commands/analyse.h"
 #include "app/faces/commands/commands.h"
+#include "app/faces/commands/run.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/output.h"
@@ -21,7 +23,7 @@
 #include "app/results/estimates/other_file.h"
 #include "app/results/estimates/recompute.h"
 #include "app/results/estimates/result_json.h"
-#include "app/results/estimates/result_text.h"
+#include "app/results/estimates/result_summary.h"
 #include "app/results/estimates/tray_results.h"
 #include "protocol/estimators/norm/pose_import.h"
 #include "protocol/record/sha256.h"
@@ -64,7 +66,8 @@ struct AnalyseOptions {
   std::string estimator;
   std::string truth;
   int item = 0;
-  bool json = false;
+  ResultForm form = ResultForm::kSummary;
+  bool json() const { return form == ResultForm::kJson; }
 };
 
 /// The items of a run or CSV. An estimator that needs no angles also accepts a file without angles.
@@ -77,6 +80,13 @@ std::vector<StoredRun> load(const AnalyseOptions& options) {
   std::vector<StoredRun> poses(1);
   poses.front().record = import_poses(options.file).record;
   return poses;
+}
+
+/// The text of a result: of one item, or of a run.
+template <class Analysed>
+std::string text_of(const Analysed& analysed, const AnalyseOptions& options) {
+  return options.form == ResultForm::kFull ? full_text(analysed, stdout)
+                                           : summary_text(analysed, options.file, stdout);
 }
 
 /// All items of a run with several, by the joint estimator.
@@ -93,51 +103,42 @@ int show_all(const AnalyseOptions& options, std::vector<StoredRun> items) {
   std::vector<Kept> kept;
   for (const AnalysedItem& item : run.items) kept.emplace_back(&item.stored, &item.results.front());
   keep(options.file, kept);
-  options.json ? print_result("{}\n", tray_json(run).dump(2)) : print_result("{}", tray_text(run, stdout));
+  options.json() ? print_result("{}\n", tray_json(run).dump(2)) : print_result("{}", text_of(run, options));
   return run.joint.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
-}
-
-/// @return whether the result agrees with the simulated truth
-bool agrees_with_truth(const AnalyseOptions& options, const StoredRun& item,
-                       const CalibrationResult& result) {
-  const BenchConfig bench = read_bench(options.truth);
-  const TruthComparison comparison =
-      compare_with_truth(result, bench, bench.has_several_items() ? item.item : 1);
-  std::FILE* stream = options.json ? stderr : stdout;
-  const std::string heading =
-      fmt::format("Compared with the simulated truth ({} estimator)", result.estimator);
-  const std::string text =
-      fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, heading), comparison.text);
-  options.json ? print_log("{}", text) : print_result("{}", text);
-  return comparison.agrees();
 }
 
 /// One item by the requested estimator, else by the one that the run declares. `joint` fits all items
 /// together; every other estimator uses this item alone.
 int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k) {
   std::string estimator = options.estimator;
-  if (estimator.empty() && options.json) estimator = declared_estimator(items.front().record).name;
+  if (estimator.empty() && options.form != ResultForm::kFull)
+    estimator = declared_estimator(items.front().record).name;
   const AnalysedRun run = analyse_run(std::move(items), estimator);
   const AnalysedItem& item = run.item(k);
   const StoredRun& stored = item.stored;
   const CalibrationResult& result = item.results.front();
   keep(options.file, {{&stored, &result}});
-  if (options.json) {
-    print_result("{}\n", result_json(result).dump(2));
-  } else {
-    if (RunFile::looks_like_run_file(options.file) && stored.state != RunState::kComplete) {
-      print_result("{}\n", emphasised(stdout, Emphasis::kWarning,
-                                      fmt::format("This run is {}: {} of {} angles are measured.",
-                                                  to_string(stored.state), stored.measured.size(),
-                                                  stored.header.plan.size())));
-    }
-    print_result("{}", item_text(item, stdout));
-  }
-  const bool agrees = options.truth.empty() || agrees_with_truth(options, stored, result);
+  options.json() ? print_result("{}\n", result_json(result).dump(2))
+                 : print_result("{}", text_of(item, options));
+  const bool agrees =
+      options.truth.empty() ||
+      show_truth(options.truth, stored.item, result, options.json() ? stderr : stdout).agrees();
   return result.verdict == Verdict::kNotUsable || !agrees ? kExitFailed : kExitDone;
 }
 
 }  // namespace
+
+TruthComparison show_truth(const std::string& bench_file, int item, const CalibrationResult& result,
+                           std::FILE* stream) {
+  const BenchConfig bench = read_bench(bench_file);
+  TruthComparison comparison = compare_with_truth(result, bench, bench.has_several_items() ? item : 1);
+  const std::string heading =
+      fmt::format("Compared with the simulated truth ({} estimator)", result.estimator);
+  const std::string text =
+      fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, heading), comparison.text);
+  stream == stderr ? print_log("{}", text) : print_result("{}", text);
+  return comparison;
+}
 
 CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<AnalyseOptions>();
@@ -149,15 +150,16 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
                    "run file, or CSV of averaged readings (norm: of poses, or a time series)")
       ->required();
   command
-      ->add_option("--estimator", options->estimator,
-                   fmt::format("{} (default: the estimator chosen before the run, {} if none was chosen; the "
-                               "text output shows all)",
-                               estimator_choice(), kPublishedEstimator))
+      ->add_option(
+          "--estimator", options->estimator,
+          fmt::format("{} (default: the estimator chosen before the run, {} if none was chosen; --full "
+                      "shows all)",
+                      estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_option("--item", options->item,
                       "of a run with several items: this one alone, from 1 (default: all of them)");
-  command->add_flag("--json", options->json,
-                    "print one JSON object, schema abcal.result/1; of several items abcal.tray/1");
+  add_form_options(*command, options->form,
+                   "print one JSON object, schema abcal.result/1; of several items abcal.tray/1");
   command->add_option(
       "--truth", options->truth,
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");

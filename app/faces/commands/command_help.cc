@@ -17,7 +17,7 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 24> kHelp{{
+constexpr std::array<CommandHelp, 26> kHelp{{
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
     {"check", kPrepare, "abcal check bench.toml\nabcal check bench.toml --no-motion"},
@@ -40,6 +40,8 @@ constexpr std::array<CommandHelp, 24> kHelp{{
      "abcal issue sn1234.run --laboratory laboratory.toml --dcc sn1234.xml --pdf sn1234.pdf"},
     {"lab", kCertify,
      "abcal lab init --laboratory \"Example laboratory\" --administrator \"N. N.\"\nabcal help lab"},
+    {"demo", kWithoutBench, "abcal demo\nabcal demo --no-wait --json"},
+    {"docs", kWithoutBench, "abcal docs\nabcal docs effects"},
     {"simulate", kWithoutBench, "abcal simulate abc1 --trials 1000000"},
     {"emulate", kWithoutBench, "abcal emulate bench.toml --link-dir links"},
     {"replay", kWithoutBench, "abcal replay sn1234.run"},
@@ -60,8 +62,7 @@ void add_help(CLI::App& app) {
   }
   app.footer(
       "`abcal help COMMAND` shows the options of a command, with an example. The first three commands of a\n"
-      "new bench are `instruments`, `plan` and `check`; without one: `abcal run "
-      "docs/examples/simulated.toml`.");
+      "new bench are `instruments`, `plan` and `check`. Without one, begin with `abcal demo`.");
 }
 
 }  // namespace abcal

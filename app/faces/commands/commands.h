@@ -23,6 +23,8 @@ CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_apply(CLI::App& parent, int& exit_code);
 CLI::App* add_export(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
+CLI::App* add_demo(CLI::App& parent, int& exit_code);
+CLI::App* add_docs(CLI::App& parent, int& exit_code);
 CLI::App* add_compare(CLI::App& parent, int& exit_code);
 CLI::App* add_gravity(CLI::App& parent, int& exit_code);
 CLI::App* add_serve(CLI::App& parent, int& exit_code);

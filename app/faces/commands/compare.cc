@@ -18,7 +18,7 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
     std::string estimator;
     CompareOptions compare;
     int item = 0;
-    bool json = false;
+    bool published = false, json = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
@@ -31,24 +31,30 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       ->required()
       ->expected(1, 10'000);
   command
-      ->add_option("--estimator", options->estimator,
-                   fmt::format("of runs and CSVs: {} (default: that of each run; {} with --shared)",
-                               estimator_choice(), kPublishedEstimator))
+      ->add_option(
+          "--estimator", options->estimator,
+          fmt::format("of runs and CSVs: {} (default: that of each run; {} with --shared and --published)",
+                      estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_option("--item", options->item,
                       "of each run with several items that is named without #K: which one, from 1");
   command->add_flag("--shared", options->compare.shared_stage,
                     "all were measured on one stage: subtract the effect of its common errors from the "
                     "uncertainty of the differences");
+  command->add_flag("--published", options->published,
+                    "of runs and CSVs: the abc result by the published formula (Geist & Gaitan 2021), for "
+                    "comparison with another laboratory's ABC result");
   command->add_flag("--any-item", options->compare.any_item, "compare results of different items");
   command->add_option("--group-by", options->compare.group_by,
                       "analysis of variance between groups: day, stage, or a label such as operator.name");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.compare/1");
   command->callback([options, &exit_code] {
     // The effect of a shared stage on two results is known for the published protocol's equations only.
-    if (options->estimator.empty() && options->compare.shared_stage) options->estimator = kPublishedEstimator;
-    const ResultsComparison comparison =
-        compare_results(load_compared(options->files, options->estimator, options->item), options->compare);
+    if (options->estimator.empty() && (options->compare.shared_stage || options->published))
+      options->estimator = kPublishedEstimator;
+    std::vector<ComparedResult> results = load_compared(options->files, options->estimator, options->item);
+    if (options->published) take_published_formula(results);
+    const ResultsComparison comparison = compare_results(std::move(results), options->compare);
     if (options->json) {
       print_result("{}\n", compare_json(comparison).dump(2));
     } else {

@@ -88,6 +88,13 @@ void print_issued(const IssueOptions& options, const IssueOutcome& outcome) {
                outcome.is_signed ? ", signed" : "", sha256_of(issued.xml));
 }
 
+/// Shows what an amendment changes, before it has a number.
+void print_changes(const std::vector<ChangedStatement>& changed) {
+  print_result("the amendment changes {} statement{}\n", changed.size(), changed.size() == 1 ? "" : "s");
+  for (const ChangedStatement& one : changed)
+    print_result("  {}{}\n", one.administrative ? "" : "result or item: ", one.words());
+}
+
 void issue(const IssueOptions& options) {
   const RealClock clock;
   if (options.asked.key.empty() != options.asked.key_certificate.empty())
@@ -130,6 +137,11 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
   command->add_option("--replaces", options->asked.replaces,
                       "number of the certificate that this one amends");
   command->add_option("--reason", options->asked.reason, "why it is amended");
+  command->add_option("--amendment", options->asked.amendment,
+                      "administrative: no number, unit, uncertainty, verdict and nothing of the item may "
+                      "change; technical: every change is listed on the certificate");
+  command->add_option("--replaced", options->asked.replaced_xml,
+                      "XML of the amended certificate, if it is of another run");
   command->add_option(
       "--not-witnessed", options->asked.not_witnessed,
       "the approver's statement why a run that was not witnessed is certified all the same; it is "
@@ -142,6 +154,7 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
                       "write the printed certificate to this file as well; with --sign also its detached "
                       "signature, FILE.p7s");
   command->add_flag("--force", options->force, "overwrite a file that exists");
+  options->asked.tell_changes = print_changes;
   command->callback([options, &exit_code] {
     issue(*options);
     exit_code = kExitDone;

@@ -33,7 +33,8 @@ void init(const LabOptions& shared, const InitOptions& options) {
   facts.training = options.training;
   facts.number_prefix = options.prefix;
   facts.administrator = options.administrator;
-  facts.password = read_secret("password of " + options.administrator, options.password_file);
+  facts.password =
+      read_new_secret("password of " + options.administrator, lab::password_rule(), options.password_file);
   const lab::Register made = lab::Register::create(location, facts, RealClock().utc_now());
   print_result("register of {} made: {}; its administrator is {}\n", made.facts().name,
                lab::without_password(location), options.administrator);
@@ -132,6 +133,7 @@ CLI::App* add_lab(CLI::App& parent, int& exit_code) {
   add_lab_people(*command, shared, exit_code);
   add_lab_records(*command, shared, exit_code);
   add_lab_charts(*command, shared, exit_code);
+  add_lab_withdraw(*command, shared, exit_code);
   add_lab_copies(*command, shared, exit_code);
   add_verify_register(*command, shared, exit_code);
   add_lab_time_stamp(*command, exit_code);

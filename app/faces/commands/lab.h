@@ -20,6 +20,7 @@ lab::Register open_register(const LabOptions& options);
 void add_lab_people(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code);
 void add_lab_records(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code);
 void add_lab_charts(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code);
+void add_lab_withdraw(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code);
 void add_lab_copies(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code);
 
 /// Adds `abcal lab timestamp`, which needs no register.

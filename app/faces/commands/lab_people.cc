@@ -92,10 +92,10 @@ void add_add_person(CLI::App& add, const std::shared_ptr<LabOptions>& shared, in
     lab::Register opened = open_register(*shared);
     const auto now = RealClock().utc_now();
     const lab::LoggedIn by = lab::require_login(opened, now);
-    const std::string password =
-        options->without_password
-            ? ""
-            : read_secret("password of " + options->person.name, options->password_file);
+    const std::string password = options->without_password
+                                     ? ""
+                                     : read_new_secret("password of " + options->person.name,
+                                                       lab::password_rule(), options->password_file);
     opened.add_person(by, options->person, password, RealClock().utc_now());
     print_result("person added: {}\n", options->person.name);
     exit_code = kExitDone;
@@ -135,7 +135,8 @@ void add_password(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, i
     lab::Register opened = open_register(*shared);
     const auto now = RealClock().utc_now();
     const lab::LoggedIn by = lab::require_login(opened, now);
-    const std::string password = read_secret("new password of " + options->name, options->password_file);
+    const std::string password =
+        read_new_secret("new password of " + options->name, lab::password_rule(), options->password_file);
     opened.set_password(by, options->name, password, RealClock().utc_now());
     print_result("password set: {}; their logins are ended\n", options->name);
     exit_code = kExitDone;

@@ -3,7 +3,9 @@
 #include "app/ground/system/output.h"
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/read_file.h"
+#include "app/ground/system/real_clock.h"
 #include "app/laboratory/certificate/sign.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal {
 
@@ -27,7 +29,8 @@ void add_lab_sign(CLI::App& parent, int& exit_code) {
     require_writable({{"--output", options->output}}, {options->xml, options->key, options->certificate},
                      options->force);
     OutputFile(options->output)
-        .write(sign_xml(read_file(options->xml), {options->key, options->certificate}));
+        .write(sign_xml(read_file(options->xml), {options->key, options->certificate},
+                        format_utc(RealClock().utc_now())));
     print_result("signed: {}\n", options->output);
     exit_code = kExitDone;
   });

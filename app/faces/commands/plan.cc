@@ -13,6 +13,7 @@
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/progress.h"
+#include "app/ground/system/text_layout.h"
 #include "app/laboratory/register/register_lookup.h"
 #include "app/results/estimates/effect_words.h"
 #include "app/results/planner/known_bench.h"
@@ -21,6 +22,8 @@
 
 namespace abcal {
 namespace {
+
+constexpr const char* kIndent = "        ";
 
 /// The plan as `abcal plan` shows it.
 struct ShownPlan {
@@ -54,8 +57,8 @@ ShownPlan make_shown_plan(const BenchConfig& config) {
 /// Notes on the plan for the operator, each one sentence without its full stop.
 std::vector<std::string> plan_notes(const ShownPlan& plan, const BenchConfig& config) {
   const Tolerances& tolerances = config.items.front().tolerances;
-  std::vector<std::string> notes = uncovered_effects_words(tolerances);
-  notes.insert(notes.begin(), default_effects_words(tolerances));
+  std::vector<std::string> notes = uncovered_effects_words(tolerances, Advice::kForOperator);
+  notes.insert(notes.begin(), default_effects_words(tolerances, Advice::kForOperator));
   if (backlash_is_left(config.protocol, plan.angles)) notes.push_back(backlash_words(tolerances.zero));
   std::erase(notes, std::string());
   return notes;
@@ -113,18 +116,38 @@ void print_angles(const std::vector<PlannedAngle>& angles) {
   }
 }
 
+/// "about 1 h 00 min", or without the moves where their speed is not known.
+std::string duration_words(const ShownPlan& plan) {
+  const std::string total = describe_duration(plan.duration.total_s());
+  return plan.speeds_known ? "about " + total : fmt::format("about {} and the moves", total);
+}
+
 void print_duration(const ShownPlan& plan) {
   const PlanDuration& duration = plan.duration;
-  const std::string total = describe_duration(duration.total_s());
   const std::string settling = describe_duration(duration.settling_s);
   const std::string reading = describe_duration(duration.dwelling_s);
-  if (plan.speeds_known) {
-    print_result("About {}: moving {}, settling {}, reading {}\n", total,
-                 describe_duration(duration.moving_s), settling, reading);
-  } else {
-    print_result(
-        "About {} plus the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
-        settling, reading);
+  const std::string moving = plan.speeds_known ? "moving " + describe_duration(duration.moving_s)
+                                               : "moving unknown (no speed_deg_per_s in the bench file)";
+  print_result("{}", wrapped(fmt::format("{}, settling {}, reading {}", moving, settling, reading),
+                             "Time:   ", kIndent, kTerminalColumns));
+}
+
+/// The instruments of the bench: "stage pi_gcs on /dev/ttyUSB0".
+void print_instruments(const BenchConfig& config) {
+  const auto on = [](const std::string& driver, const std::string& port) {
+    return port.empty() ? driver : fmt::format("{} on {}", driver, port);
+  };
+  const auto print = [](const std::string& name, const std::string& words) {
+    print_result("{}", wrapped(printable_line(words), name, kIndent, kTerminalColumns, LongWords::kBreak));
+  };
+  print("Stage:  ", on(config.stage.driver, config.stage.port));
+  for (std::size_t k = 0; k < config.items.size(); ++k) {
+    const BenchItemConfig& item = config.items[k];
+    std::string words = fmt::format(
+        "{} {}, serial number {}; {}, {:g} readings/s", item.item.maker, item.item.model,
+        item.item.serial_number.empty() ? "not stated" : item.item.serial_number,
+        on(item.accelerometer.driver, item.accelerometer.port), item.accelerometer.settings.rate_hz);
+    print("Item:   ", config.has_several_items() ? fmt::format("{}: {}", k + 1, words) : words);
   }
 }
 
@@ -140,22 +163,47 @@ void print_sources(const BenchConfig& config) {
   }
 }
 
-void print_plan(const ShownPlan& plan, const BenchConfig& config) {
-  print_angles(plan.angles);
-  print_result("{} angles; {} readings at each{}\n", plan.angles.size(),
+/// The first screen: no problem, instruments, angles, time, travel of the axes, and what is not stated.
+void print_plan(const ShownPlan& plan, const BenchConfig& config, const std::string& bench_file) {
+  print_result("{}", wrapped(fmt::format("No problem: {} angles, {}, {} estimator", plan.angles.size(),
+                                         duration_words(plan), config.protocol.estimator),
+                             "", "  ", kTerminalColumns));
+  print_instruments(config);
+  print_result("Angles: {}; {} readings at each{}\n", plan.angles.size(),
                readings_per_dwell(config.protocol, config.items.front().accelerometer.settings.rate_hz),
                config.has_several_items() ? fmt::format(", of {} items", config.items.size()) : "");
   print_duration(plan);
-  print_result(
-      "The cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, relative to "
-      "zero, where the stage is parked. If they are too short, set travel_min_deg and travel_max_deg.\n",
-      plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(), plan.twist[1].max.deg());
-  print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
+  print_result("{}",
+               wrapped(fmt::format("wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, "
+                                   "relative to zero, where the stage is parked; limits: travel_min_deg, "
+                                   "travel_max_deg",
+                                   plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(),
+                                   plan.twist[1].max.deg()),
+                       "Cables: ", kIndent, kTerminalColumns));
+  if (plan.travel_assumed)
+    print_result("        No travel is given: -360 to 360 deg is assumed; `run` asks the stage.\n");
+  const Tolerances& tolerances = config.items.front().tolerances;
+  const std::string full = fmt::format("abcal plan {} --full", bench_file);
+  const std::string defaults = default_effects_words(tolerances, Advice::kForOperator);
+  for (const std::string& note : plan_notes(plan, config)) {
+    // The cost of each default is known after the run; here their number is enough.
+    const bool of_defaults = note == defaults;
+    const std::string words =
+        of_defaults ? fmt::format("{} sizes of effects are defaults that nobody stated (docs/effects.md)",
+                                  unstated_effects(tolerances).size())
+                    : note;
+    print_result("{}", wrapped(words, "Note:   ", kIndent, kTerminalColumns));
+    if (of_defaults) print_result("{}-> {}\n", kIndent, full);
+  }
+  print_result("Every angle, and where each value comes from: {}\n", full);
+}
+
+/// All that the first screen leaves out: the notes as they are, the sources of values, every angle.
+void print_rest(const ShownPlan& plan, const BenchConfig& config) {
+  print_result("\n");
   for (const std::string& note : plan_notes(plan, config)) print_result("Note: {}.\n", note);
   print_sources(config);
-  if (plan.travel_assumed) {
-    print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
-  }
+  print_angles(plan.angles);
 }
 
 }  // namespace
@@ -164,6 +212,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
     bool json = false;
+    bool full = false;
     bool keys = false;
     ReachOptions reach;
   };
@@ -171,7 +220,9 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   CLI::App* command =
       parent.add_subcommand("plan", "Show the sequence and its duration, or every problem of the bench file");
   CLI::Option* bench = command->add_option("BENCH", options->bench_file, "bench file (TOML)");
-  command->add_flag("--json", options->json, "print one JSON object");
+  CLI::Option* json = command->add_flag("--json", options->json, "print one JSON object");
+  command->add_flag("--full", options->full, "print every angle too, and where each stated value comes from")
+      ->excludes(json);
   command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")
       ->excludes(bench);
   add_reach_options(*command, options->reach);
@@ -196,7 +247,8 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     if (options->json) {
       print_result("{}\n", plan_json(plan, config).dump(2));
     } else {
-      print_plan(plan, config);
+      print_plan(plan, config, options->bench_file);
+      if (options->full) print_rest(plan, config);
     }
   });
   return command;

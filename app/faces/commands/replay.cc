@@ -12,7 +12,7 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string run_file;
     std::string output;
-    bool json = false;
+    ResultForm form = ResultForm::kSummary;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
@@ -20,10 +20,10 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file made with `abcal run BENCH --record`")->required();
   command->add_option("-o,--output", options->output,
                       "run file to create (default: RUN-replay.run in the folder of RUN)");
-  command->add_flag("--json", options->json, "print the result as one JSON object");
+  add_form_options(*command, options->form, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Replaying", .introduce = false});
-    RunSession session(printing_session_options(terminal, options->json, exit_code));
+    RunSession session(printing_session_options(terminal, options->form, exit_code));
     session.replay({options->run_file, options->output});
   });
   return command;

@@ -19,6 +19,7 @@
 #include "app/laboratory/issuing/laboratory_link.h"
 #include "app/laboratory/register/register_lookup.h"
 #include "app/operate/session/run_bench.h"
+#include "app/results/estimates/result_summary.h"
 #include "app/results/estimates/tray_results.h"
 
 namespace abcal {
@@ -47,9 +48,8 @@ nlohmann::ordered_json run_json(const RunOutcome& outcome) {
             {"overhead_s", timing.overhead_s}}}};
 }
 
-std::string run_file_text(const RunOutcome& outcome) {
-  return fmt::format("{}\nRun file: {} ({})\n", timing_text(outcome.stored().timing), outcome.path.string(),
-                     outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
+std::string hash_line(const RunOutcome& outcome) {
+  return fmt::format("SHA-256: {}\n", outcome.sha256.empty() ? "the file is not closed yet" : outcome.sha256);
 }
 
 }  // namespace
@@ -58,18 +58,36 @@ void print_warnings(const BenchConfig& config) {
   for (const std::string& warning : config.warnings) print_warning(warning);
 }
 
-int print_outcome(const RunOutcome& outcome, bool json) {
+CLI::Option* add_form_options(CLI::App& command, ResultForm& form, const std::string& about_json) {
+  CLI::Option* json = command.add_flag_callback(
+      "--json", [&form] { form = ResultForm::kJson; }, about_json);
+  CLI::Option* full = command.add_flag_callback(
+      "--full", [&form] { form = ResultForm::kFull; },
+      "print everything that is known of the result, in tables as wide as they need (default: the first "
+      "screen, 80 columns)");
+  return full->excludes(json);
+}
+
+int print_outcome(const RunOutcome& outcome, ResultForm form) {
   if (outcome.is_levelling()) {
     print_log("A levelling, measured to its end. For its level file: abcal level --from {}\n",
               outcome.path.string());
     return kExitDone;
   }
-  if (json) {
-    nlohmann::ordered_json output = analysis_json(outcome);
-    output["run"] = run_json(outcome);
-    print_result("{}\n", output.dump(2));
-  } else {
-    print_result("{}\n{}", analysis_text(outcome, stdout), run_file_text(outcome));
+  switch (form) {
+    case ResultForm::kJson: {
+      nlohmann::ordered_json output = analysis_json(outcome);
+      output["run"] = run_json(outcome);
+      print_result("{}\n", output.dump(2));
+      break;
+    }
+    case ResultForm::kFull:
+      print_result("{}\n{}\nFile: {}\n{}", full_text(outcome, stdout), timing_text(outcome.stored().timing),
+                   outcome.path.string(), hash_line(outcome));
+      break;
+    case ResultForm::kSummary:
+      print_result("{}{}", summary_text(outcome, outcome.path.string(), stdout), hash_line(outcome));
+      break;
   }
   const bool each_has_numbers = std::ranges::all_of(outcome.items, [](const AnalysedItem& item) {
     return !item.results.empty() && item.result().verdict != Verdict::kNotUsable;
@@ -85,13 +103,13 @@ RunSession::Options session_options(TerminalListener& terminal) {
   return options;
 }
 
-RunSession::Options printing_session_options(TerminalListener& terminal, bool json, int& exit_code) {
+RunSession::Options printing_session_options(TerminalListener& terminal, ResultForm form, int& exit_code) {
   RunSession::Options options = session_options(terminal);
-  options.result_listener = [json, &exit_code](const RunOutcome& outcome) {
+  options.result_listener = [form, &exit_code](const RunOutcome& outcome) {
     if (outcome.measured_before) {
       print_log("All angles of {} were measured already; it is analysed now\n", outcome.path.string());
     }
-    exit_code = print_outcome(outcome, json);
+    exit_code = print_outcome(outcome, form);
   };
   return options;
 }
@@ -101,7 +119,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     std::string bench_file;
     std::string output;
     bool record = false;
-    bool json = false;
+    ResultForm form = ResultForm::kSummary;
     bool without_missing_items = false;
     CampaignOptions campaign;
   };
@@ -130,20 +148,20 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
       ->needs(repeat);
   command->add_flag("--without-missing-items", options->without_missing_items,
                     "of several items: measure the others if some are not there");
-  command->add_flag("--json", options->json, "print the result as one JSON object");
+  add_form_options(*command, options->form, "print the result as one JSON object")->excludes(repeat);
   command->callback([options, &exit_code] {
     if (options->campaign.repeat > 0) {
       options->campaign.bench_file = options->bench_file;
       options->campaign.output = options->output;
       options->campaign.without_missing_items = options->without_missing_items;
-      options->campaign.json = options->json;
+      options->campaign.json = options->form == ResultForm::kJson;
       exit_code = run_campaign(options->campaign);
       return;
     }
     const BenchConfig config = read_bench(options->bench_file, register_records());
     print_warnings(config);
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
-    RunSession session(printing_session_options(terminal, options->json, exit_code));
+    RunSession session(printing_session_options(terminal, options->form, exit_code));
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
     session.start({config, path.string(), options->record, {}, options->without_missing_items});
   });
@@ -153,7 +171,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
 CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string run_file;
-    bool json = false;
+    ResultForm form = ResultForm::kSummary;
     bool without_missing_items = false;
   };
   auto options = std::make_shared<Options>();
@@ -161,10 +179,10 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--without-missing-items", options->without_missing_items,
                     "of several items: continue with the others if some are not there");
-  command->add_flag("--json", options->json, "print the result as one JSON object");
+  add_form_options(*command, options->form, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
-    RunSession session(printing_session_options(terminal, options->json, exit_code));
+    RunSession session(printing_session_options(terminal, options->form, exit_code));
     session.resume({options->run_file, options->without_missing_items});
   });
   return command;

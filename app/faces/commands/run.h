@@ -1,5 +1,6 @@
 #pragma once
 
+#include <CLI/CLI.hpp>
 #include <string>
 
 #include "app/faces/commands/terminal_listener.h"
@@ -14,11 +15,22 @@ void print_warnings(const BenchConfig& config);
 /// A session whose events are shown at the terminal; Ctrl-C stops it. `terminal` must outlive the session.
 RunSession::Options session_options(TerminalListener& terminal);
 
+/// How a command prints a result.
+enum class ResultForm {
+  kSummary,  ///< The first screen of a terminal: verdict, values with U, warnings.
+  kFull,     ///< Everything that is known, in tables as wide as they need.
+  kJson,     ///< For programs.
+};
+
+/// Adds --json and --full. `form` must outlive the command.
+/// @return the option --full
+CLI::Option* add_form_options(CLI::App& command, ResultForm& form, const std::string& about_json);
+
 /// Prints the result of a complete run on standard output.
 /// @return the exit code of the program.
-int print_outcome(const RunOutcome& outcome, bool json);
+int print_outcome(const RunOutcome& outcome, ResultForm form);
 
 /// As session_options(); prints the result of the run as soon as it is known, and sets `exit_code`.
-RunSession::Options printing_session_options(TerminalListener& terminal, bool json, int& exit_code);
+RunSession::Options printing_session_options(TerminalListener& terminal, ResultForm form, int& exit_code);
 
 }  // namespace abcal

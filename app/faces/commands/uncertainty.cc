@@ -14,6 +14,8 @@
 #include "app/ground/system/output.h"
 #include "app/ground/system/progress.h"
 #include "app/ground/system/real_clock.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/estimators.h"
 #include "app/results/estimates/load_record.h"
 #include "app/studies/study/study_json.h"
 #include "app/studies/study/study_text.h"
@@ -45,7 +47,7 @@ void set_measured(const nlohmann::json& quantity, Angle& mean, Angle& error) {
 }
 
 struct Options {
-  std::string file, preset, measured;
+  std::string file, estimator, preset, measured;
   std::optional<std::int64_t> trials;
   std::optional<int> digits;
   std::int64_t seed = 1;
@@ -54,8 +56,60 @@ struct Options {
   bool json = false;
 };
 
+/// The estimator that the study is of: the one asked for, or the one that the run declared.
+const Estimator& estimator_of(const Options& options, const RunRecord& record) {
+  const Estimator& estimator =
+      options.estimator.empty() ? declared_estimator(record) : find_estimator(options.estimator);
+  if (!estimator.certifiable)
+    throw std::invalid_argument(fmt::format(
+        "uncertainty: {} declares estimator \"{}\", which has no Monte Carlo; required: --estimator joint or "
+        "--estimator abc",
+        options.file, estimator.name));
+  if (estimator.fit != nullptr) return estimator;
+  const auto only_of_abc = [&](bool given, const char* option) {
+    if (given)
+      throw std::invalid_argument(
+          fmt::format("{}: it belongs to the ABC result, and the study is of the {} result{}; required: "
+                      "--estimator abc with it",
+                      option, estimator.name, options.estimator.empty() ? ", which the run declared" : ""));
+  };
+  only_of_abc(options.resolution.has_value(), "--resolution");
+  only_of_abc(!options.preset.empty(), "--preset");
+  only_of_abc(!options.measured.empty(), "--measured-acs");
+  return estimator;
+}
+
+/// Sizes from the command line take the place of the run's own.
+void override_sizes(const Options& options, EffectSizes& sizes) {
+  const auto override_with = [&](std::optional<double> degrees, const char* key, Angle& size) {
+    if (!degrees) return;
+    size = Angle::degrees(*degrees);
+    sizes.shapes.erase(key);
+    sizes.sources.insert_or_assign(key, "command line");
+  };
+  override_with(options.alignment, "alignment_deg", sizes.alignment);
+  override_with(options.step, "step_deg", sizes.step);
+  override_with(options.initial_turn, "initial_turn_deg", sizes.initial_turn);
+  override_with(options.zero, "zero_deg", sizes.zero);
+}
+
+/// The study of an item that was measured together with others: the joint result is that of their common fit.
+RunUncertainty study_of_common_fit(std::vector<StoredRun> items, const Options& options) {
+  for (StoredRun& item : items) override_sizes(options, item.record.tolerances);
+  const AnalysedRun run = analyse_run(std::move(items), "joint");
+  const NamedItem named = named_item(options.file);
+  const int item = chosen_item(named.file, options.item != 0 ? options.item : named.item);
+  for (const AnalysedItem& one : run.items) {
+    if (one.stored.item == item) return common_fit_uncertainty(one.stored.record, one.results.front());
+  }
+  throw std::invalid_argument(fmt::format("{} has no item {}", options.file, item));
+}
+
 RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
+  RunRecord record = load_record(options.file, options.item).record;
+  const bool joint = estimator_of(options, record).fit == nullptr;
   UncertaintyOptions uncertainty;
+  if (joint) uncertainty.trials = kJointTrials;
   if (options.trials) uncertainty.trials = not_negative("--trials", *options.trials);
   if (options.digits) {
     uncertainty.trials.reset();
@@ -66,14 +120,12 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
   uncertainty.resolution = options.resolution;
   uncertainty.paper_preset = options.preset == "paper";
   if (!options.measured.empty()) uncertainty.measured = read_measured_acs(options.measured);
-  RunRecord record = load_record(options.file, options.item).record;
-  const auto override_with = [](std::optional<double> degrees, Angle& tolerance) {
-    if (degrees) tolerance = Angle::degrees(*degrees);
-  };
-  override_with(options.alignment, record.tolerances.alignment);
-  override_with(options.step, record.tolerances.step);
-  override_with(options.initial_turn, record.tolerances.initial_turn);
-  override_with(options.zero, record.tolerances.zero);
+  override_sizes(options, record.tolerances);
+  if (joint) {
+    check_tolerances(record.tolerances);
+    std::vector<StoredRun> items = load_items(named_item(options.file).file);
+    if (items.size() > 1) return study_of_common_fit(std::move(items), options);
+  }
   uncertainty.stop = interrupt_token();
   RealClock clock;
   ProgressBar bar("uncertainty", clock);
@@ -84,7 +136,8 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
     }
   };
   uncertainty.team = team;
-  RunUncertainty study = run_uncertainty(record, uncertainty);
+  RunUncertainty study =
+      joint ? joint_uncertainty(record, uncertainty) : run_uncertainty(record, uncertainty);
   bar.clear();
   return study;
 }
@@ -142,11 +195,16 @@ StudyProcesses one_process() {
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes) {
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "uncertainty", "Type B and type A uncertainty of a run, with budget and coverage intervals");
+      "uncertainty", "Uncertainty of a run's result: budget, Monte Carlo, coverage intervals");
   command->add_option("FILE", options->file, "run file, or CSV of averaged readings")->required();
+  command
+      ->add_option("--estimator", options->estimator,
+                   "whose result: joint or abc (default: the one that the run declared)")
+      ->check(CLI::IsMember(estimator_names()));
   command->add_option("--item", options->item, "of a run with several items: which one, from 1");
-  CLI::Option* trials =
-      command->add_option("--trials", options->trials, "Monte Carlo trials (default 200000)");
+  CLI::Option* trials = command->add_option(
+      "--trials", options->trials,
+      "Monte Carlo trials (default: 10000 of the joint result, 200000 of the ABC result)");
   command
       ->add_option("--digits", options->digits,
                    "adaptive: as many trials as 1 or 2 significant digits of u require")
@@ -161,13 +219,13 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
   command->add_option("--zero", options->zero,
                       "standard uncertainty of the mean step errors (axis zeros), degrees");
   command->add_option("--resolution", options->resolution,
-                      "smallest step of the output, in the unit of the readings");
+                      "abc: smallest step of the output, in the unit of the readings");
   command
       ->add_option("--preset", options->preset,
-                   "paper: the bounds of Geist & Gaitan 2021, section 5, as type B")
+                   "abc; paper: the bounds of Geist & Gaitan 2021, section 5, as type B")
       ->check(CLI::IsMember({"paper"}));
   command->add_option("--measured-acs", options->measured,
-                      "JSON of a joint analysis: measured system errors for the type A evaluation");
+                      "abc: JSON of a joint analysis: measured system errors for the type A evaluation");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
   command->callback([options, processes = std::move(processes), &exit_code] {
     const std::unique_ptr<MonteCarloTeam> team = processes.join();

@@ -22,8 +22,8 @@ struct StudyProcesses {
 /// `join` throws std::runtime_error and names `abcal-mpi`.
 StudyProcesses one_process();
 
-/// `abcal uncertainty RUN|FILE.csv`: type B, type A, budget and both combined. Bad options throw
-/// std::invalid_argument.
+/// `abcal uncertainty RUN|FILE.csv`: budget and Monte Carlo of the result of the declared estimator, or of
+/// another with `--estimator`. Bad options throw std::invalid_argument.
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes);
 
 /// Measured errors of the calibration system from the JSON of a joint analysis (`abcal analyse RUN

@@ -3,19 +3,24 @@
 
 #include <algorithm>
 #include <array>
+#include <filesystem>
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <string_view>
 
 #include "app/faces/commands/commands.h"
+#include "app/ground/document/weasyprint.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/read_file.h"
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/terminal.h"
+#include "app/ground/xml/xml_tree.h"
 #include "app/laboratory/certificate/signature_checks.h"
+#include "app/laboratory/issuing/certificate_evidence.h"
 #include "app/laboratory/issuing/run_evidence.h"
 #include "app/laboratory/register/login.h"
+#include "app/results/estimates/other_file.h"
 #include "protocol/record/attestation.h"
 #include "protocol/record/results_file.h"
 
@@ -78,10 +83,37 @@ void print_checks(const std::vector<IntegrityCheck>& checks) {
   }
 }
 
+/// Checks a certificate that is there without its run: XML, or a PDF with the XML attached.
+int verify_certificate(const VerifyOptions& options, const std::string& xml, lab::Register* opened) {
+  if (!options.pdf.empty() || !options.require.empty() || !options.authorities.empty())
+    throw std::invalid_argument(fmt::format(
+        "{}: is a certificate; --pdf, --require and --authority are for a run", options.run_file));
+  const CertificateEvidence evidence = judge_certificate(options.run_file, xml, opened);
+  if (options.json) {
+    nlohmann::ordered_json json{{"schema", "abcal.verify/1"}, {"good", evidence.is_good()}};
+    json["certificate"] = evidence.number;
+    if (!evidence.status.empty()) json["status"] = evidence.status;
+    for (const IntegrityCheck& check : evidence.checks)
+      json["checks"].push_back({{"what", check.what}, {"good", check.good}, {"found", check.found}});
+    print_result("{}\n", json.dump(2));
+  } else {
+    print_checks(evidence.checks);
+    print_result("{}\n", evidence.words);
+  }
+  return evidence.is_good() ? kExitDone : kExitFailed;
+}
+
 int verify(const VerifyOptions& options) {
   std::optional<lab::Register> opened;
   if (const std::string location = lab::register_location(options.register_location); !location.empty())
     opened = lab::Register::open(location, RealClock().utc_now());
+  if (std::filesystem::is_regular_file(options.run_file)) {
+    if (looks_like_xml(options.run_file))
+      return verify_certificate(options, read_file(options.run_file, kLargestXml),
+                                opened ? &*opened : nullptr);
+    if (options.run_file.ends_with(".pdf"))
+      return verify_certificate(options, attachment_of_pdf(options.run_file), opened ? &*opened : nullptr);
+  }
   const Trust trust = trust_of(options, opened ? &*opened : nullptr);
   RunEvidence evidence = judge_run(options.run_file, trust, opened ? &*opened : nullptr);
   add_required(options, trust, evidence);
@@ -120,8 +152,10 @@ int verify(const VerifyOptions& options) {
 CLI::App* add_verify(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<VerifyOptions>();
   CLI::App* command = parent.add_subcommand(
-      "verify", "Check that a run and its results are consistent with their hashes and chains");
-  command->add_option("RUN", options->run_file, "run file")->required();
+      "verify",
+      "Check that a run and its results are consistent with their hashes and chains; or a certificate: its "
+      "signature, and with a register whether it holds");
+  command->add_option("RUN", options->run_file, "run file; or a certificate, XML or PDF")->required();
   command
       ->add_option("--require", options->require,
                    "witnessed, signed or timestamped, repeatable: fail without it")

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/ground/xml/xml_query.h"
 #include "app/laboratory/issuing/issue_run.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
@@ -16,16 +17,25 @@ namespace {
 
 using ApprovalJson = nlohmann::ordered_json;
 
-ApprovalJson certificates_of(const ItemOfRun& of) {
+/// The certificates of an item, with their status in the register, if there is one that can be read.
+ApprovalJson certificates_of(const ItemOfRun& of, const ApprovalPlace& place, Clock::UtcTime now) {
   ApprovalJson list = ApprovalJson::array();
-  for (const IssuedCertificate& issued : ResultsFile::certificates(of.run, of.item))
+  const std::vector<IssuedCertificate> kept = ResultsFile::certificates(of.run, of.item);
+  if (kept.empty()) return list;
+  std::optional<lab::Register> opened;
+  if (!place.register_location.empty()) opened = lab::Register::open(place.register_location, now);
+  for (const IssuedCertificate& issued : kept) {
+    const auto status = opened ? opened->status_of(issued.number) : std::nullopt;
     list.push_back({{"number", issued.number},
                     {"date", issued.date},
                     {"measured_by", issued.measured_by},
                     {"approved_by", issued.approved_by},
                     {"replaces", issued.replaces},
                     {"reason", issued.reason},
-                    {"sha256", sha256_of(issued.xml)}});
+                    {"sha256", sha256_of(issued.xml)},
+                    {"status", status ? status->words() : ""},
+                    {"holds", status && status->holds()}});
+  }
   return list;
 }
 
@@ -121,14 +131,28 @@ IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place) {
   asked.certificate.laboratory = place.laboratory_file.string();
   asked.replaces = form.replaces;
   asked.reason = form.reason;
+  asked.amendment = form.amendment;
   return asked;
 }
+
+namespace {
+
+/// Every statement that an amendment changes, as its XML lists it.
+std::vector<std::string> changed_by(const IssuedCertificate& issued) {
+  if (issued.replaces.empty()) return {};
+  const XmlDocument document = parse_xml(issued.xml, issued.number);
+  return XmlQuery(document.get())
+      .texts("dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_amendment']/dcc:reference");
+}
+
+}  // namespace
 
 ApprovalJson issued_json(const IssueOutcome& outcome, const std::string& approver, bool training) {
   return {{"number", outcome.known_now.empty() ? outcome.issued.number : outcome.known_now},
           {"training", training},
           {"approved_by", approver},
-          {"warnings", outcome.warnings}};
+          {"warnings", outcome.warnings},
+          {"changed", changed_by(outcome.issued)}};
 }
 
 ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
@@ -140,7 +164,7 @@ ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, cons
           {"person", visitor.who.name},
           {"why_not", why},
           {"keys", why.empty() ? keys_of(visitor.who.name, place, now) : ApprovalJson::array()},
-          {"certificates", certificates_of(of)}};
+          {"certificates", certificates_of(of, place, now)}};
 }
 
 ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, const Clock& clock) {

@@ -23,6 +23,7 @@ struct ApprovalForm {
   std::string run_sha256;          ///< SHA-256 of the run that the person saw.
   std::string approver, password;  ///< As used to log in.
   std::string replaces, reason;    ///< Number of the replaced certificate, and why; empty: none.
+  std::string amendment;           ///< "administrative" or "technical"; empty: none.
 };
 
 /// The run has changed since the form was opened, or another certificate was issued; what() says which.

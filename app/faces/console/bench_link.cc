@@ -184,6 +184,16 @@ bool BenchLink::close_bench() {
   return true;
 }
 
+bool BenchLink::wait_for_process(std::chrono::milliseconds longest) {
+  const Clock::Instant last = clock_.now() + longest;
+  while (process_ > 0 && ::waitpid(process_, nullptr, WNOHANG) == 0) {
+    if (clock_.now() > last) return false;
+    clock_.sleep_until(clock_.now() + std::chrono::milliseconds(5));
+  }
+  process_ = -1;
+  return true;
+}
+
 void BenchLink::leave() {
   leaving_ = true;
   again_.cancel();

@@ -56,6 +56,10 @@ class BenchLink {
   void control_taken(const Asker& by);
   /// Stops the current activity, halts the stage and ends the process. @return false: there is no process
   bool close_bench();
+  /// Waits for the end of the process that was started here, once nothing runs in the thread of `io` any
+  /// more.
+  /// @return false: it has not ended after `longest`
+  bool wait_for_process(std::chrono::milliseconds longest);
   /// Disconnects; the process goes on alone.
   void leave();
 

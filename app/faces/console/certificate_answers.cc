@@ -73,18 +73,23 @@ bool Answers::is_signed_certificate(const HttpRequest& request) {
   return request.method() == http::verb::post && view(request.target()).ends_with("/signed-certificate");
 }
 
-/// POST /approve: a form with `run`, `run_sha256`, `item` if the run has several, and `replaces` and `reason`
-/// if there is a certificate already. With `name` and `password` of the approver the certificate is issued;
-/// the login of the page does not count, as the approver has to be present. With `by_key` the certificate to
-/// be signed is made for the person logged in.
+/// POST /approve: a form with `run`, `run_sha256`, `item` if the run has several, and `replaces`, `reason`
+/// and `amendment` if there is a certificate already. With `name` and `password` of the approver the
+/// certificate is issued; the login of the page does not count, as the approver has to be present. With
+/// `by_key` the certificate to be signed is made for the person logged in.
 HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
   if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
   const auto field = [&](const char* name) { return field_of(*form, name); };
   const auto of = find_item(field("run"), field("item"));
   if (!of) return refuse(asked, http::status::not_found, kNoSuchRun);
-  const ApprovalForm filled{
-      *of, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
+  const ApprovalForm filled{*of,
+                            field("run_sha256"),
+                            field("name"),
+                            field("password"),
+                            field("replaces"),
+                            field("reason"),
+                            field("amendment")};
   try {
     require_plain_text("reason", filled.reason, kLongestNote);
   } catch (const RequestError& error) {

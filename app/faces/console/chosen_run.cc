@@ -4,8 +4,19 @@
 
 #include <utility>
 
+#include "app/ground/bench_file/instrument_ports.h"
+#include "drivers/instrument/driver_catalogue.h"
+#include "sim/emulated_serial_numbers.h"
+
 namespace abcal::console {
 namespace {
+
+/// Whether the item is a simulated instrument that reports a serial number: it is then the chosen item.
+bool is_simulated_item(const AccelerometerConfig& accelerometer) {
+  return accelerometer.port == kSimulated &&
+         !find_in(driver_catalogue().accelerometers, accelerometer.driver).traits.reads_volts &&
+         !sim::emulated_serial_numbers(accelerometer.driver).empty();
+}
 
 void choose_item(ChosenRun& run, const ItemChoice& chosen) {
   BenchItemConfig& first = run.config.items.front();
@@ -13,8 +24,9 @@ void choose_item(ChosenRun& run, const ItemChoice& chosen) {
   const std::string model = std::exchange(item.model, chosen.model);
   item.maker = chosen.maker;
   const std::string before = std::exchange(item.serial_number, chosen.serial_number);
-  if (std::string& required = first.accelerometer.serial_number;
-      before != chosen.serial_number && !required.empty() && required != chosen.serial_number)
+  if (std::string& required = first.accelerometer.serial_number; is_simulated_item(first.accelerometer))
+    required = chosen.serial_number;
+  else if (before != chosen.serial_number && !required.empty() && required != chosen.serial_number)
     run.warnings.push_back(fmt::format(
         "The bench file requires an accelerometer of serial number {}, which is another item: not "
         "required of this one.",
@@ -22,12 +34,14 @@ void choose_item(ChosenRun& run, const ItemChoice& chosen) {
   item.customer_number = chosen.customer_number;
   if (model == chosen.model) return;
   item.range = item.filter = item.firmware = item.supply = "";
+  item.reference_surface = item.direction_marks = item.fasteners = item.cable = "";
+  item.torque_newton_metre.reset();
   first.expected.nominal_sensitivity.reset();
   if (!model.empty())
-    run.warnings.push_back(
-        fmt::format("The bench file describes model {}, the item is {}: its range, filter, firmware, supply "
-                    "and nominal sensitivity are not stated. Check what is set on the instrument.",
-                    model, chosen.model.empty() ? "of no stated model" : chosen.model));
+    run.warnings.push_back(fmt::format(
+        "The bench file describes model {}, the item is {}: its range, filter, firmware, supply, "
+        "nominal sensitivity and how it is fastened are not stated. Check what is set on the instrument.",
+        model, chosen.model.empty() ? "of no stated model" : chosen.model));
 }
 
 }  // namespace

@@ -168,7 +168,7 @@ class Form {
           "asks "
           "the stage.");
     const Tolerances& tolerances = config.items.front().tolerances;
-    if (const std::string words = default_effects_words(tolerances); !words.empty())
+    if (const std::string words = default_effects_words(tolerances, Advice::kForOperator); !words.empty())
       warn(fmt::format("Sizes of effects: {}.", words));
     if (backlash_is_left(config.protocol, plan))
       warn(fmt::format("Backlash: {}.", backlash_words(tolerances.zero)));

@@ -23,6 +23,9 @@ namespace abcal {
 
 struct ItemConfig {
   std::string maker, model, serial_number, customer_number, range, filter, firmware, supply;
+  // The mounting: what ties u, v, w to the housing, and how the housing is held.
+  std::string reference_surface, direction_marks, fasteners, cable;
+  std::optional<double> torque_newton_metre;  ///< Torque of the fasteners.
 
   bool operator==(const ItemConfig&) const = default;
 };

@@ -113,6 +113,11 @@ void visit_item(KeyVisitor& keys, ItemConfig& item, ExpectedItem& expected) {
   keys.number("nominal_sensitivity", expected.nominal_sensitivity, kPositiveResponse);
   keys.number("sensitivity_tolerance", expected.sensitivity_tolerance, {0.0, 1.0, true});
   keys.text("mounting", expected.mounting);
+  keys.text("reference_surface", item.reference_surface);
+  keys.text("direction_marks", item.direction_marks);
+  keys.text("fasteners", item.fasteners);
+  keys.number("torque_newton_metre", item.torque_newton_metre, kTorque);
+  keys.text("cable", item.cable);
 }
 
 void visit_stage(KeyVisitor& keys, StageConfig& stage) {

@@ -44,9 +44,15 @@ void visit_sizes_of(std::string_view section, KeyVisitor& keys, EffectSizes& siz
     if (key.section != section) continue;
     const std::string name(key.key);
     const auto source = sizes.sources.find(name);
-    StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second};
+    const Shape shape = sizes.shape_of(name);
+    StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second,
+                             shape == Shape::kNormal ? "" : std::string(to_string(shape))};
     keys.uncertainty(name, stated, key.most, std::string(key.unit));
     key.set(sizes, stated.value);
+    sizes.shapes.erase(name);
+    if (const std::optional<Shape> stated_shape = shape_named(stated.distribution);
+        stated_shape && *stated_shape != Shape::kNormal)
+      sizes.shapes.emplace(name, *stated_shape);
     if (stated.source.empty()) {
       sizes.sources.erase(name);
     } else {

@@ -27,9 +27,16 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "height by a formula, with a warning.",
         ""}},
       {"bench.height_m", {"Height above sea level.", ""}},
-      {"item.maker", {"Maker of the accelerometer under test.", ""}},
-      {"item.model", {"Model.", ""}},
-      {"item.serial_number", {"Serial number.", ""}},
+      {"item.maker",
+       {"Maker of the accelerometer under test. An instrument that reports another maker, model or serial "
+        "number is refused ([the item](measurement.md#the-item)); what it reports is taken where nothing is "
+        "stated.",
+        ""}},
+      {"item.model", {"Model, compared as the maker is.", ""}},
+      {"item.serial_number",
+       {"Serial number, as the instrument reports it. A number of the label that it does not report is a "
+        "`customer_number`.",
+        ""}},
       {"item.customer_number", {"The number that its owner gave it.", ""}},
       {"item.range", {"Measuring range as set, in words.", ""}},
       {"item.filter", {"Filter or bandwidth as set, in words.", ""}},
@@ -46,6 +53,15 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Axes of the platter along which u, v and w point at the default orientation, each axis once, for "
         "example `-y x z`; or nine numbers, the rows of a rotation matrix: the directions of u, v and w.",
         ""}},
+      {"item.reference_surface",
+       {"Surface of the housing that lies on the platter, in words. This and the next four are printed on "
+        "report and certificate.",
+        ""}},
+      {"item.direction_marks",
+       {"Marks on the housing by which the directions of u, v and w are found, in words.", ""}},
+      {"item.fasteners", {"What holds the item, in words, for example `4 screws M3 x 10`.", ""}},
+      {"item.torque_newton_metre", {"Tightening torque of the fasteners.", "N m"}},
+      {"item.cable", {"Cable and how it is led, in words.", ""}},
       {"operator.name", {"Name of the person who measures.", ""}},
       {"stage.driver",
        {"Driver of the controller. Empty if `[stage.x]` and `[stage.z]` each have a driver.", ""}},

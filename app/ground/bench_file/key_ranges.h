@@ -36,6 +36,8 @@ inline constexpr Range kTime{0.0, 1e9, true};
 inline constexpr Range kTimeOrZero{0.0, 1e9};
 inline constexpr Range kFrequency{0.0, 1e6};  // Hz
 
+inline constexpr Range kTorque{0.0, 1000.0};  // N m, of a fastener
+
 /// Kelvin.
 inline constexpr Range kHeating{0.0, 1000.0};
 inline constexpr Range kTemperatureWidth{1e-6, 1000.0};

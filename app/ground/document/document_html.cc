@@ -18,6 +18,7 @@
 #include <string_view>
 
 #include "app/ground/document/gnuplot.h"
+#include "app/ground/document/number_text.h"
 #include "app/ground/document/valid_text.h"
 #include "app/ground/system/child_process.h"
 #include "app/ground/xml/xml_tree.h"
@@ -87,8 +88,8 @@ div.room { height: 32mm; margin-bottom: -32mm; break-inside: avoid; break-after:
 section.new-page { break-before: page; }
 div.both { display: table; table-layout: fixed; width: 100%; }
 div.left, div.right { display: table-cell; width: 50%; vertical-align: top; }
-div.left { padding-right: 3mm; }
 div.both table.facts { margin: 0 0 1mm 0; }
+div.left table.facts { width: 96.5%; }
 div.both table.facts td.name { width: 33mm; }
 table.dense th, table.dense td { padding-left: 0.7mm; padding-right: 0.7mm; font-size: 8pt; }
 table.dense td:not(.number):not(.symbol), table.dense th:not(.number) { padding-left: 2mm; }
@@ -389,7 +390,7 @@ class PageBuilder {
     if (!content_.page_mark.empty()) add(body, "div", "mark", content_.page_mark);
     add(body, "h1", nullptr, content_.title);
     if (!content_.subtitle.empty()) add(body, "p", "subtitle", content_.subtitle);
-    for (const std::string& caution : content_.cautions) add(body, "p", "caution", caution);
+    for (const std::string& caution : content_.cautions) add(body, "p", "caution", typeset_numbers(caution));
     for (const Section& section : content_.sections) {
       xmlNode* part = add(body, "section", section.on_new_page ? "new-page" : nullptr);
       if (!section.title.empty()) add(part, "h2", nullptr, section.title);
@@ -429,12 +430,14 @@ class PageBuilder {
     add(head, "style", nullptr, kStyle + page_style(content_));
   }
 
-  void block(xmlNode* part, const Paragraph& paragraph) { add(part, "p", nullptr, paragraph.text); }
+  void block(xmlNode* part, const Paragraph& paragraph) {
+    add(part, "p", nullptr, typeset_numbers(paragraph.text));
+  }
 
   void block(xmlNode* part, const BulletList& bullets) {
     if (bullets.items.empty()) return;
     xmlNode* list = add(part, "ul");
-    for (const std::string& item : bullets.items) add(list, "li", nullptr, item);
+    for (const std::string& item : bullets.items) add(list, "li", nullptr, typeset_numbers(item));
   }
 
   void block(xmlNode* part, const FactList& list) {
@@ -461,7 +464,10 @@ class PageBuilder {
                          whole           ? content.dense ? "whole dense" : "whole"
                          : content.dense ? "dense"
                                          : nullptr);
-    if (!content.caption.empty()) cell_text(add(table, "caption"), content.caption, content.caption_kind);
+    if (!content.caption.empty())
+      cell_text(add(table, "caption"),
+                content.caption_kind == CellKind::kText ? typeset_numbers(content.caption) : content.caption,
+                content.caption_kind);
     xmlNode* heading = add(add(table, "thead"), "tr");
     for (const Column& column : content.columns) {
       // "s_ux" above a column of numbers.
@@ -485,6 +491,9 @@ class PageBuilder {
         attribute(group, "colspan", std::to_string(content.columns.size()));
         continue;
       }
+      if (cells.size() > content.columns.size())
+        throw std::logic_error(fmt::format("a row of {} cells, \"{}\", stands below a heading of {}",
+                                           cells.size(), cells.front(), content.columns.size()));
       for (std::size_t c = 0; c < cells.size(); ++c) {
         const CellKind kind = content.columns[c].kind;
         const char* css = kind == CellKind::kText && has_long_word(cells[c]) ? "long" : css_class(kind);
@@ -526,6 +535,7 @@ class PageBuilder {
 
   /// "s_ux" with its index below, Greek letters, "°" and "²".
   void cell_text(xmlNode* node, const std::string& text, CellKind kind) {
+    if (kind == CellKind::kNumber) return add_text(node, typeset_numbers(text));
     if (kind != CellKind::kSymbol && kind != CellKind::kUnit) return add_text(node, text);
     std::string_view rest = text;
     while (!rest.empty()) {
@@ -544,7 +554,7 @@ class PageBuilder {
   static std::string with_signs(std::string_view text) {
     std::string result(text);
     for (const auto& [word, sign] :
-         {std::pair{"phi", "φ"}, {"degree", "°"}, {"m/s2", "m/s²"}, {"g2", "g²"}}) {
+         {std::pair{"phi", "φ"}, {"degree", "°"}, {"m/s2", "m/s²"}, {"g2", "g²"}, {"^2", "²"}, {"^3", "³"}}) {
       if (const std::size_t at = result.find(word); at != std::string::npos)
         result.replace(at, std::strlen(word), sign);
     }

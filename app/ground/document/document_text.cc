@@ -9,18 +9,13 @@
 
 #include "app/ground/document/valid_text.h"
 #include "app/ground/system/terminal.h"
+#include "app/ground/system/text_layout.h"
 
 namespace abcal {
 namespace {
 
 constexpr std::size_t kWidth = 110;
 constexpr std::size_t kNarrowest = 30;  // of a column of sentences
-
-/// Columns that a UTF-8 text takes: the bytes that begin a character.
-std::size_t width_of(std::string_view text) {
-  return static_cast<std::size_t>(std::count_if(
-      text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0U) != 0x80U; }));
-}
 
 /// A name out of a bench file must not move the cursor or clear the screen.
 std::string shown(const std::string& text) {
@@ -30,51 +25,26 @@ std::string shown(const std::string& text) {
   return line;
 }
 
-/// Words in lines of at most `width`; at least one line.
-std::vector<std::string> lines_of(const std::string& text, std::size_t width) {
-  std::vector<std::string> lines(1);
-  std::string_view rest = text;
-  while (!rest.empty()) {
-    const std::size_t end = std::min(rest.find(' '), rest.size());
-    const std::string_view word = rest.substr(0, end);
-    if (!lines.back().empty() && width_of(lines.back()) + 1 + width_of(word) > width) lines.emplace_back();
-    if (!lines.back().empty()) lines.back() += ' ';
-    lines.back() += word;
-    rest.remove_prefix(std::min(end + 1, rest.size()));
-  }
-  return lines;
-}
-
-std::string wrapped(const std::string& text, const std::string& first, const std::string& next) {
-  std::string out;
-  for (const std::string& line : lines_of(text, kWidth - next.size()))
-    out += (out.empty() ? first : next) + line + "\n";
-  return out;
-}
-
-std::string padded(const std::string& text, std::size_t width, bool right) {
-  const std::string blank(width - std::min(width, width_of(text)), ' ');
-  return right ? blank + text : text + blank;
-}
-
 struct TextOf {
   std::FILE* stream;
 
-  std::string operator()(const Paragraph& paragraph) const { return wrapped(shown(paragraph.text), "", ""); }
+  std::string operator()(const Paragraph& paragraph) const {
+    return wrapped(shown(paragraph.text), "", "", kWidth);
+  }
 
   std::string operator()(const BulletList& list) const {
     std::string text;
-    for (const std::string& item : list.items) text += wrapped(shown(item), "- ", "  ");
+    for (const std::string& item : list.items) text += wrapped(shown(item), "- ", "  ", kWidth);
     return text;
   }
 
   std::string operator()(const FactList& list) const {
     std::size_t width = 0;
-    for (const auto& [name, value] : list.facts) width = std::max(width, width_of(name));
+    for (const auto& [name, value] : list.facts) width = std::max(width, display_width(name));
     std::string text;
     for (const auto& [name, value] : list.facts) {
-      text +=
-          wrapped(shown(value), "  " + padded(shown(name), width, false) + "  ", std::string(width + 4, ' '));
+      text += wrapped(shown(value), "  " + padded(shown(name), width, false) + "  ",
+                      std::string(width + 4, ' '), kWidth);
     }
     return text;
   }
@@ -87,10 +57,10 @@ struct TextOf {
 
   std::string operator()(const DocumentTable& table) const {
     std::vector<std::size_t> widths;
-    for (const Column& column : table.columns) widths.push_back(width_of(column.heading));
+    for (const Column& column : table.columns) widths.push_back(display_width(column.heading));
     for (const auto& row : table.rows) {
       if (row.size() == 1) continue;
-      for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], width_of(row[c]));
+      for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], display_width(row[c]));
     }
     // Sentences are in the last column; they are wrapped there.
     std::size_t before_last = 0;
@@ -111,7 +81,7 @@ struct TextOf {
       }
       return text;
     };
-    std::string text = table.caption.empty() ? "" : wrapped(shown(table.caption), "", "");
+    std::string text = table.caption.empty() ? "" : wrapped(shown(table.caption), "", "", kWidth);
     text += line([&](std::size_t c) { return table.columns[c].heading; });
     for (const auto& row : table.rows) {
       text += row.size() == 1 ? "  " + emphasised(stream, Emphasis::kHeading, shown(row.front())) + "\n"
@@ -135,7 +105,7 @@ std::string document_text(const Document& document, std::FILE* stream) {
   if (!document.subtitle.empty()) text += shown(document.subtitle) + "\n";
   if (!document.page_mark.empty()) text += emphasised(stream, Emphasis::kBad, document.page_mark) + "\n";
   for (const std::string& caution : document.cautions) {
-    std::string large = wrapped(shown(caution), "!!! ", "    ");
+    std::string large = wrapped(shown(caution), "!!! ", "    ", kWidth);
     large.pop_back();
     text += emphasised(stream, Emphasis::kBad, large) + "\n";
   }

@@ -21,28 +21,39 @@ std::string describe_duration(double seconds) {
 }
 
 ProgressBar::ProgressBar(std::string title, const Clock& clock)
-    : title_(std::move(title)), clock_(clock), visible_(is_terminal(stderr)), started_(clock.now()) {}
+    : title_(std::move(title)),
+      clock_(clock),
+      visible_(is_terminal(stderr)),
+      started_(clock.now()),
+      last_draw_(started_) {}
 
 ProgressBar::~ProgressBar() {
   clear();
 }
 
 void ProgressBar::show(double done, double total, std::string_view words) {
-  if (!visible_ || !(total > 0.0)) return;
+  if (!(total > 0.0)) return;
   const Clock::Instant now = clock_.now();
   if (done_at_start_ < 0.0) {
     done_at_start_ = done;
     started_ = now;
   }
-  if (drawn_ && now - last_draw_ < std::chrono::milliseconds(100) && done < total) return;
+  constexpr Clock::Duration kRedraw = std::chrono::milliseconds(100), kLine = std::chrono::seconds(30);
+  if (!visible_ && now - std::max(started_, last_draw_) < kLine) return;
+  if (drawn_ && now - last_draw_ < kRedraw && done < total) return;
   last_draw_ = now;
-  drawn_ = true;
   const double fraction = std::clamp(done / total, 0.0, 1.0);
   std::string left = "";
   if (done > done_at_start_) {
     const double per_unit = to_seconds(now - started_) / (done - done_at_start_);
     left = describe_duration(per_unit * (total - done)) + " left";
   }
+  if (!visible_) {
+    print_log("{}: {:.0f} %{}{}{}{}\n", title_, 100.0 * fraction, left.empty() ? "" : ", ", left,
+              words.empty() ? "" : ", ", words);
+    return;
+  }
+  drawn_ = true;
   constexpr int kCells = 24;
   const int full = static_cast<int>(std::lround(fraction * kCells));
   std::string text =

@@ -11,7 +11,7 @@ namespace abcal {
 /// "1 h 05 min", "3 min 20 s", "12 s".
 std::string describe_duration(double seconds);
 
-/// A progress bar with the remaining time, on one line of a terminal; silent on other streams.
+/// A progress bar with the remaining time, on one line of a terminal; on other streams a line each 30 s.
 class ProgressBar {
  public:
   /// On standard error, because standard output belongs to results.

@@ -1,5 +1,6 @@
 #include "app/ground/system/secret_input.h"
 
+#include <fmt/format.h>
 #include <termios.h>
 #include <unistd.h>
 
@@ -43,20 +44,32 @@ std::string secret_of_file(const std::string& path) {
   return secret;
 }
 
-}  // namespace
-
-std::string read_secret(const std::string& prompt, const std::string& file) {
-  if (!file.empty()) return secret_of_file(file);
+/// A line of standard input: typed behind a prompt and not shown, or as it comes where that is no terminal.
+std::string secret_line(const std::string& prompt) {
   std::string secret;
   if (::isatty(STDIN_FILENO) == 0) {
     std::getline(std::cin, secret);
   } else {
-    print_log("{}: ", prompt);
     const NoEcho silent;
+    print_log("{}: ", prompt);
     std::getline(std::cin, secret);
     print_log("\n");
   }
   if (secret.empty()) throw std::invalid_argument(prompt + ": nothing was given");
+  return secret;
+}
+
+}  // namespace
+
+std::string read_secret(const std::string& prompt, const std::string& file) {
+  return file.empty() ? secret_line(prompt) : secret_of_file(file);
+}
+
+std::string read_new_secret(const std::string& prompt, const std::string& rule, const std::string& file) {
+  if (!file.empty() || ::isatty(STDIN_FILENO) == 0) return read_secret(prompt, file);
+  std::string secret = secret_line(fmt::format("{} ({})", prompt, rule));
+  if (secret_line("once more") != secret)
+    throw std::invalid_argument(prompt + ": the two are not the same; nothing is changed, try again");
   return secret;
 }
 

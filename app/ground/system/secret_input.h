@@ -9,4 +9,10 @@ namespace abcal {
 /// @throws std::invalid_argument, std::runtime_error
 std::string read_secret(const std::string& prompt, const std::string& file);
 
+/// As read_secret(), for a secret that is to be set: a person at a terminal is told the rule first, and types
+/// it twice.
+/// @param rule  "at least 10 characters"
+/// @throws std::invalid_argument if the two differ, and as read_secret()
+std::string read_new_secret(const std::string& prompt, const std::string& rule, const std::string& file);
+
 }  // namespace abcal

@@ -42,10 +42,11 @@ inline constexpr std::string_view kDefaultSource = "default";
 /// The word in place of a number that the program determines itself.
 inline constexpr std::string_view kAuto = "auto";
 
-/// A standard uncertainty and its source; no source: a default.
+/// A standard uncertainty, its source (none: a default), and the name of its distribution (none: normal).
 struct StatedUncertainty {
   double value = 0.0;
   std::string source;
+  std::string distribution = {};
 };
 
 /// A value with its uncertainty and source, as a record of the laboratory gives them.

@@ -433,7 +433,8 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
     problem(table, where,
             given == 0 ? (source.empty() ? "no value" : "a source without a value") : "several values",
             one_of);
-  if (table.contains("half_width") != table.contains("distribution")) {
+  // A written file has the standard uncertainty of a half-width, with its distribution.
+  if (half_width ? !table.contains("distribution") : expanded && table.contains("distribution")) {
     problem(table, where, half_width ? "half_width without distribution" : "distribution without half_width",
             one_of);
   } else if (!distribution.empty() && !kDivisors.contains(distribution)) {
@@ -452,10 +453,11 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
   }
   if (source.empty()) source = "stated";
   if (value) {
-    stated = {*value, source};
+    stated = {*value, source, distribution};
   } else if (half_width) {
     stated = {*half_width / kDivisors.at(distribution),
-              fmt::format("{} ({}, half-width {:g}{})", source, distribution, *half_width, unit)};
+              fmt::format("{} ({}, half-width {:g}{})", source, distribution, *half_width, unit),
+              distribution};
   } else {
     stated = {*expanded / *k, fmt::format("{} (U = {:g}{}, k = {:g})", source, *expanded, unit, *k)};
   }

@@ -38,7 +38,10 @@ void TomlWriter::text(const std::string& key, std::string& value, const std::vec
 
 void TomlWriter::uncertainty(const std::string& key, StatedUncertainty& stated, double, const std::string&) {
   const std::string source = stated.source.empty() ? std::string(kDefaultSource) : stated.source;
-  line(key, fmt::format("{{ value = {}, source = {} }}", real(stated.value), toml_text(source)));
+  const std::string distribution =
+      stated.distribution.empty() ? "" : fmt::format(", distribution = {}", toml_text(stated.distribution));
+  line(key,
+       fmt::format("{{ value = {}{}, source = {} }}", real(stated.value), distribution, toml_text(source)));
 }
 
 void TomlWriter::required_text(const std::string& key, std::string& value,

@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <stdexcept>
 
+#include "app/ground/units/typed_unit.h"
 #include "app/ground/xml/xml_tree.h"
 #include "protocol/plan/limits.h"
 
@@ -29,10 +30,14 @@ std::string non_si(const std::string& name) {
   return "|" + word;
 }
 
+std::string without_parentheses(const std::string& text) {
+  const bool has_both = text.size() > 2 && text.front() == '(' && text.back() == ')';
+  return has_both ? text.substr(1, text.size() - 2) : text;
+}
+
 bool take_suffix(std::string& text, const std::string& suffix) {
   if (!text.ends_with(suffix) || text.size() == suffix.size()) return false;
-  text.resize(text.size() - suffix.size());
-  if (text.size() > 2 && text.front() == '(' && text.back() == ')') text = text.substr(1, text.size() - 2);
+  text = without_parentheses(text.substr(0, text.size() - suffix.size()));
   return true;
 }
 
@@ -60,6 +65,40 @@ UnitInDsi per_kelvin(const std::string& unit, const std::string& output) {
   if (!in.own) return in;
   in.own = *in.own * per_kelvin;
   in.definition = fmt::format("1 {} = {} in the SI unit {}", unit, in.factor, in.unit.text());
+  return in;
+}
+
+/// Per standard gravity, or per local gravity where its value is given. @param which  of standard gravity, in
+/// words
+UnitInDsi per_gravity(const std::string& unit, const std::string& output, double gravity_mps2,
+                      const std::string& which) {
+  UnitInDsi in = unit_in_dsi(output);
+  in.unit = in.unit * per_acceleration();
+  in.factor /= gravity_mps2;
+  in.own = DsiUnit(non_si(unit));
+  in.definition = which.empty() ? fmt::format(
+                                      "1 {} is a change of the output by 1 {} for an acceleration of one "
+                                      "local gravity, which is among the conditions",
+                                      unit, output)
+                  : in.unit.text() == "\\one"
+                      ? fmt::format("1 {} = {}, a plain number in SI units ({})", unit, in.factor, which)
+                      : fmt::format("1 {} = {} {} ({})", unit, 1.0 / gravity_mps2,
+                                    TypedUnit{output, PerAcceleration::kSi}.name(), which);
+  return in;
+}
+
+/// Units of the inverse of a sensitivity: "(m/s2)/V".
+UnitInDsi acceleration_per(const std::string& unit, const std::string& output) {
+  const UnitInDsi of_output = unit_in_dsi(output);
+  UnitInDsi in;
+  in.unit = acceleration() * of_output.unit.to_the(-1);
+  in.note = of_output.note;
+  if (!of_output.own) return in;
+  in.factor = 1.0 / of_output.factor;
+  in.own = DsiUnit(non_si(unit));
+  const std::string si = in.unit.text();
+  in.definition = fmt::format("1 {} = {:.12g}{}", unit, in.factor,
+                              si == "\\one" ? ", a plain number in SI units" : " in the SI unit " + si);
   return in;
 }
 
@@ -110,10 +149,16 @@ std::string DsiUnit::text() const {
   return text;
 }
 
-UnitInDsi unit_in_dsi(const std::string& unit) {
+UnitInDsi unit_in_dsi(const std::string& unit, std::optional<double> g_loc_mps2) {
   UnitInDsi in;
   const auto found = find_unit(unit);
   if (found && (!found->unit->d_si.empty() || acceleration_unit_mps2(unit))) return from_table(*found, unit);
+  const TypedUnit typed = typed_unit(unit);
+  // "(m/s2)/g_n" is a sensitivity of an output in m/s2.
+  const bool is_per_gravity = typed.per == PerAcceleration::kLocal || typed.per == PerAcceleration::kStandard;
+  if (constexpr std::string_view kAcceleration = "(m/s2)/";
+      !is_per_gravity && unit.starts_with(kAcceleration) && unit.size() > kAcceleration.size())
+    return acceleration_per(unit, without_parentheses(unit.substr(kAcceleration.size())));
   std::string output = unit;
   if (take_suffix(output, "/K")) return per_kelvin(unit, output);
   if (take_suffix(output, "/V")) {
@@ -121,9 +166,14 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
     in.unit = in.unit * DsiUnit("\\volt").to_the(-1);
     return in;
   }
-  if (take_suffix(output, "/g_loc")) return unit_in_dsi(output);
-  if (take_suffix(output, "/(m/s2)")) {
-    in = unit_in_dsi(output);
+  if (typed.per == PerAcceleration::kLocal) {
+    if (!g_loc_mps2) return unit_in_dsi(typed.output);
+    return per_gravity(unit, typed.output, *g_loc_mps2, "");
+  }
+  if (typed.per == PerAcceleration::kStandard)
+    return per_gravity(unit, typed.output, kStandardGravity, "g_n = 9.80665 m/s2, standard gravity, exact");
+  if (typed.per == PerAcceleration::kSi) {
+    in = unit_in_dsi(typed.output);
     in.unit = in.unit * per_acceleration();
     if (in.own) {
       in.own = *in.own * per_acceleration();
@@ -131,15 +181,6 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
       in.definition = fmt::format("1 {} = {}{}", unit, in.factor,
                                   si == "\\one" ? ", a plain number in SI units" : " in the SI unit " + si);
     }
-    return in;
-  }
-  if (take_suffix(output, "/g")) {
-    in = unit_in_dsi(output);
-    in.unit = in.unit * per_acceleration();
-    in.factor /= kStandardGravity;
-    in.own = DsiUnit(non_si(unit));
-    in.definition =
-        fmt::format("1 {} = {} of the SI unit; g = 9.80665 m/s2 (standard gravity, exact)", unit, in.factor);
     return in;
   }
   in.note = fmt::format("1 stands for one {} of the output.", unit.empty() ? "digit" : one_line(unit));

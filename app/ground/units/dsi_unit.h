@@ -34,10 +34,11 @@ struct UnitInDsi {
   std::string note;        ///< Meaning of the value 1, if the output has no physical unit.
 };
 
-/// "V", "g", "LSB", "degree", "%", "mrad"; per local gravity "V/g_loc", which has the unit of the output
-/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity);
-/// "urad/K", "ug/K", "ppm/K". A unit that is unknown is a count: \one, with a note.
-UnitInDsi unit_in_dsi(const std::string& unit);
+/// "V", "g", "LSB", "degree", "%", "mrad"; "V/(m/s2)", "mV/g_n" (standard gravity); "(m/s2)/V"; "urad/K",
+/// "ug/K", "ppm/K". A unit that is unknown is a count: \one, with a note.
+/// @param g_loc_mps2  "V/g_loc" is a sensitivity, with this local gravity in its definition. Absent: it has
+/// the unit of the output, since the quantity is then the change of the output for one g_loc ("g_loc*s_u").
+UnitInDsi unit_in_dsi(const std::string& unit, std::optional<double> g_loc_mps2 = {});
 
 /// A unit of D-SI: \volt\second\tothe{2}\metre\tothe{-1} (prefixes before the unit, \tothe{n} after it).
 /// @throws std::invalid_argument a unit or a power that is not known, with the text

@@ -36,7 +36,8 @@ XmlQuery::XmlQuery(xmlDoc* document) : context_(xmlXPathNewContext(document)) {
   if (!context_) throw std::bad_alloc();
   for (const auto& [prefix, uri] : {std::pair{"dcc", "https://ptb.de/dcc"},
                                     {"si", "https://ptb.de/si"},
-                                    {"ds", "http://www.w3.org/2000/09/xmldsig#"}})
+                                    {"ds", "http://www.w3.org/2000/09/xmldsig#"},
+                                    {"xades", "http://uri.etsi.org/01903/v1.3.2#"}})
     xmlXPathRegisterNs(context_.get(), as_xml(prefix), as_xml(uri));
 }
 

@@ -21,8 +21,8 @@ std::string xml_content(const xmlNode* node);
 /// The words of a list, separated by white space.
 std::vector<std::string> xml_words(std::string_view list);
 
-/// Asks a document by XPath. The prefixes dcc, si and ds (XML signature) are known. Paths start at the root
-/// element unless `from` is given. @throws std::logic_error for a text that is no XPath
+/// Asks a document by XPath. The prefixes dcc, si, ds (XML signature) and xades are known. Paths start at the
+/// root element unless `from` is given. @throws std::logic_error for a text that is no XPath
 class XmlQuery {
  public:
   /// @param document  must outlive the query

@@ -6,9 +6,10 @@
 #include <cmath>
 #include <string_view>
 
+#include "app/ground/units/dsi_unit.h"
+#include "app/ground/units/typed_unit.h"
 #include "app/laboratory/certificate/certified_series.h"
 #include "app/laboratory/certificate/dsi_list.h"
-#include "app/laboratory/certificate/scope.h"
 #include "app/laboratory/certificate/traceability.h"
 
 namespace abcal {
@@ -44,6 +45,7 @@ class Inspection {
     }
     check_state(data, which);
     check_labels(data, which);
+    check_identity(data, which);
     check_conditions(data, which);
     check_equipment(data, which);
   }
@@ -73,6 +75,7 @@ class Inspection {
       if (!point.run) continue;
       if (point.sha256 != run.sha256) check_state(point, point.path.filename().string());
       check_labels(point, kSeriesWords);
+      check_identity(point, kSeriesWords);
       check_conditions(point, kSeriesWords);
       check_equipment(point, kSeriesWords);
     }
@@ -102,7 +105,8 @@ class Inspection {
           {"number", quoted(issue.number), "a number different from that of the replaced certificate"});
   }
 
-  /// Derives the requested units and decides on the limits; reports those that the result does not provide.
+  /// States the result, also in the requested units, and decides on the limits; reports what the result does
+  /// not provide.
   void derive_and_decide(const ReportData& data, CertifiedRun& run) {
     std::vector<SensitivityUnit> units;
     for (const std::string& name : laboratory_.units) {
@@ -112,24 +116,24 @@ class Inspection {
         of_file_.push_back({"[units] sensitivity", quoted(name), error.what()});
       }
     }
+    const bool readable = check_units_of_limits(data);
     if (!run.has_numbers() || !data.run) return;
-    run.derived = derive(data.result(), units);
+    run.stated =
+        stated_result(data.result(), units, laboratory_.scope, !laboratory_.laboratory.accreditation.empty());
+    if (!readable) return;
     for (const SpecificationLimit& limit : laboratory_.limits) {
-      const auto quantity = find_quantity(data.result(), run.derived, limit.quantity, limit.unit);
-      if (!quantity) {
-        std::string offered;
-        for (const std::string& unit : units_of(data.result(), run.derived, limit.quantity))
-          offered += (offered.empty() ? "" : ", ") + quoted(unit);
+      const auto quantity = stated_quantity(run.stated, limit.quantity);
+      const auto in_si = quantity ? limit_in_si(limit, *quantity, data.result().g_loc.value) : std::nullopt;
+      if (!in_si) {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
-                            quoted(limit.unit), "one of " + offered});
+                            quoted(limit.unit), "one of " + offered_units(limit, data, quantity)});
       } else if (laboratory_.decision) {
-        // Decided with the stated U, which is never below that of the scope.
-        const double factor = coverage_factor(*quantity);
-        const auto cmc = smallest_uncertainty(laboratory_.scope, data.result(), limit.quantity, *quantity);
-        const double expanded = certified_uncertainty(factor * quantity->standard_uncertainty, cmc).expanded;
-        run.decisions.push_back(
-            decide(*laboratory_.decision, limit, quantity->value, expanded / factor, factor));
-        run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
+        const Decision decision =
+            decide_printed(*laboratory_.decision, *in_si, printed_in_si(*quantity, limit.quantity),
+                           coverage_factor(*quantity));
+        run.decisions.push_back(decision);
+        run.decisions.back().stated = limit;
+        run.decisions.back().quantity = *quantity;
       }
     }
   }
@@ -148,6 +152,61 @@ class Inspection {
 
  private:
   static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
+
+  static bool is_sensitivity(const SpecificationLimit& limit) {
+    return limit.quantity.starts_with("sensitivity_") || limit.quantity.starts_with("intrinsic_sensitivity_");
+  }
+
+  /// Refuses limits whose unit may mean two: per standard or per local gravity. @return whether there is none
+  bool check_units_of_limits(const ReportData& data) {
+    bool readable = true;
+    const LocalGravity& g_loc = data.record.g_loc;
+    for (const SpecificationLimit& limit : laboratory_.limits) {
+      const std::vector<TypedUnit> readings = readings_of(typed_unit(limit.unit));
+      if (!is_sensitivity(limit) || readings.size() < 2) continue;
+      readable = false;
+      const std::string si = TypedUnit{data.record.response_unit, PerAcceleration::kSi}.name();
+      const auto reading = [&](const TypedUnit& unit, const std::string& gravity) {
+        std::string text = fmt::format("unit = \"{}\", per {}", unit.name(), gravity);
+        const auto ratio = ratio_of_units(unit.name(), si, g_loc.value_mps2);
+        if (!ratio || !data.record.g_loc_known) return text;
+        for (const auto& [name, bound] : {std::pair{"lower", limit.lower}, {"upper", limit.upper}})
+          if (bound) text += fmt::format(", {} = {:.7g} {}", name, *bound * *ratio, si);
+        return text;
+      };
+      of_file_.push_back(
+          {fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
+           fmt::format("{}, which has two readings", quoted(limit.unit)),
+           fmt::format("one of these lines: {}; or {}",
+                       reading(readings.front(), "standard gravity, 9.80665 m/s2, as data sheets mean it"),
+                       reading(readings.back(), fmt::format("local gravity, {} m/s2", g_loc.value_mps2)))});
+    }
+    return readable;
+  }
+
+  /// The limit in the SI unit in which the quantity is printed. Absent: its unit is of another kind.
+  static std::optional<SpecificationLimit> limit_in_si(const SpecificationLimit& limit,
+                                                       const Quantity& quantity, double g_loc_mps2) {
+    const auto ratio = ratio_of_units(limit.unit, quantity.unit, g_loc_mps2);
+    if (!ratio) return std::nullopt;
+    const UnitInDsi in = unit_in_dsi(quantity.unit);
+    SpecificationLimit in_si = limit;
+    in_si.unit = in.unit.text();
+    for (std::optional<double>* bound : {&in_si.lower, &in_si.upper})
+      if (*bound) **bound *= *ratio * in.factor;
+    return in_si;
+  }
+
+  /// Units that a limit may have, in quotes.
+  static std::string offered_units(const SpecificationLimit& limit, const ReportData& data,
+                                   const std::optional<Quantity>& quantity) {
+    if (!is_sensitivity(limit)) return quantity ? quoted(quantity->unit) : "those of a quantity with a value";
+    std::string offered;
+    for (const PerAcceleration per :
+         {PerAcceleration::kSi, PerAcceleration::kStandard, PerAcceleration::kLocal})
+      offered += (offered.empty() ? "" : ", ") + quoted(TypedUnit{data.record.response_unit, per}.name());
+    return offered;
+  }
 
   /// Two-person rule: the run's own events name the persons who measured, not present statements.
   void check_persons(const IssueFacts& issue, const std::vector<RunOperator>& operators,
@@ -241,6 +300,17 @@ class Inspection {
           {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
   }
 
+  /// The item of the certificate is the one whose instrument answered.
+  void check_identity(const ReportData& data, const std::string& which) {
+    for (const IdentityPart& part : identity_of(data))
+      if (!part.agrees())
+        of_run_.push_back(
+            {fmt::format("{}, [item] {}", which, part.key),
+             fmt::format("\"{}\", but the instrument reported \"{}\"", part.stated, part.reported),
+             "a run of the item that is named: what answered was another item, or the bench "
+             "file named it wrongly"});
+  }
+
   void check_conditions(const ReportData& data, const std::string& which) {
     const auto& environment = data.run->environment;
     if (std::none_of(environment.begin(), environment.end(),
@@ -280,25 +350,23 @@ class Inspection {
   std::vector<Problem> of_file_, of_run_;
 };
 
-std::vector<Shift> shifts_between(const CalibrationResult& found, const CalibrationResult& left) {
+std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult& left) {
   std::vector<Shift> shifts;
-  const auto add = [&](const std::string& name, const Quantity& a, const Quantity& b) {
+  const auto add = [&](const std::string& name) {
+    const auto a = stated_quantity(found, name), b = stated_quantity(left, name);
+    if (!a || !b) return;
     Shift shift;
     shift.name = name;
-    shift.difference.unit = b.unit;
-    shift.difference.value = b.value - a.value;
-    shift.difference.standard_uncertainty = std::hypot(a.standard_uncertainty, b.standard_uncertainty);
+    shift.difference.unit = b->unit;
+    shift.difference.value = b->value - a->value;
+    shift.difference.standard_uncertainty = std::hypot(a->standard_uncertainty, b->standard_uncertainty);
     shift.normalised_error =
         shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
     shifts.push_back(shift);
   };
-  for (std::size_t j = 0; j < 3; ++j)
-    add(std::string("intrinsic_sensitivity_") + kAccelerometers[j], found.intrinsic_sensitivity[j],
-        left.intrinsic_sensitivity[j]);
-  for (std::size_t j = 0; j < 3; ++j)
-    add(std::string("intrinsic_angle_") + kPairs[j], found.intrinsic_angle[j], left.intrinsic_angle[j]);
-  for (std::size_t j = 0; j < 3; ++j)
-    add(std::string("offset_") + kAccelerometers[j], found.offset[j], left.offset[j]);
+  for (const char* axis : kAccelerometers) add(std::string("intrinsic_sensitivity_") + axis);
+  for (const char* pair : kPairs) add(std::string("intrinsic_angle_") + pair);
+  for (const char* axis : kAccelerometers) add(std::string("offset_") + axis);
   return shifts;
 }
 
@@ -444,7 +512,7 @@ Certificate make_certificate(CertificateRequest request) {
     certificate.reservations.push_back(in_words(certificate.words, problem));
 
   if (certificate.as_found && certificate.as_found->has_numbers() && certificate.run.has_numbers())
-    certificate.shifts = shifts_between(certificate.as_found->data.result(), certificate.run.data.result());
+    certificate.shifts = shifts_between(certificate.as_found->stated, certificate.run.stated);
   certificate.issue = std::move(request.issue);
   certificate.number = certificate.issue ? certificate.issue->number : draft_number(certificate.run.data);
   certificate.program_version = certificate.run.data.program_version;

@@ -6,10 +6,12 @@
 #include <utility>
 #include <vector>
 
+#include "app/laboratory/certificate/amendment.h"
 #include "app/laboratory/certificate/decision.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/laboratory_file.h"
 #include "app/laboratory/certificate/registered_entry.h"
+#include "app/laboratory/certificate/stated_result.h"
 #include "app/laboratory/certificate/words.h"
 #include "app/results/estimates/report_data.h"
 #include "protocol/record/run_operator.h"
@@ -22,6 +24,8 @@ struct Replacement {
   std::string number;
   std::string reason;
   std::string sha256;  ///< SHA-256 of the XML of the replaced certificate; empty: not available.
+  AmendmentKind kind = AmendmentKind::kTechnical;
+  std::vector<ChangedStatement> changed = {};  ///< Against the replaced certificate.
 };
 
 /// Facts that issuing adds. Until then a certificate is a draft.
@@ -49,12 +53,13 @@ struct IssueFacts {
 /// One calibration in a certificate, with derived quantities and decisions.
 struct CertifiedRun {
   ReportData data;
-  std::vector<DerivedGroup> derived;  ///< Empty without a result.
+  StatedResult stated;  ///< As the certificate states it. Empty without numbers.
   std::vector<Decision> decisions;
   bool has_numbers() const { return data.result().verdict != Verdict::kNotUsable; }
 };
 
-/// Difference as left minus as found of a quantity that does not depend on the mounting.
+/// Difference as left minus as found of a quantity that does not depend on the mounting; sensitivities per
+/// m/s2.
 struct Shift {
   std::string name;
   Quantity difference;  ///< Its uncertainty treats the runs as independent: an upper bound on one stage.

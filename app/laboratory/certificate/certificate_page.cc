@@ -4,8 +4,10 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <map>
 #include <stdexcept>
 
+#include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
 #include "app/laboratory/certificate/registered_entry.h"
@@ -71,6 +73,9 @@ Section head_section(const PageSource& from) {
   add_fact(facts.right, from.say("Replaces"),
            from.text(core + "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"));
   FactList condition;
+  add_fact(condition, from.say("Identity"),
+           from.content(administrative + "dcc:statements/dcc:statement[@refType='abc_itemIdentity']/"
+                                         "dcc:declaration"));
   add_fact(condition, from.say("Condition"), from.content(item + "/dcc:description"));
   return {"", {parties, facts, condition}};
 }
@@ -80,6 +85,20 @@ xmlNode* result_of(const PageSource& from, xmlNode* measurement, const std::stri
   return found.empty() ? nullptr : found.front();
 }
 
+/// The decisions in one sentence; empty: there are none.
+std::string conformity_words(const PageSource& from, xmlNode* measurement) {
+  xmlNode* result = result_of(from, measurement, "abc_conformity");
+  if (result == nullptr) return "";
+  std::map<std::string, int> verdicts;
+  for (xmlNode* quantity : quantities_of(from, result))
+    ++verdicts[from.text("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']/dcc:conformity",
+                         quantity)];
+  std::string counts;
+  for (const auto& [verdict, count] : verdicts)
+    counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ", from.words.known(verdict), count);
+  return from.words("Conformity with specification, number of decisions: {}.", counts).text;
+}
+
 /// The main results: matrix, intrinsic properties, offsets.
 Section result_section(const PageSource& from, xmlNode* measurement, const std::string& title) {
   Section section{title, {}};
@@ -87,6 +106,8 @@ Section result_section(const PageSource& from, xmlNode* measurement, const std::
     section.blocks.push_back(Paragraph{from.content("dcc:data/dcc:text", none)});
     return section;
   }
+  if (const std::string words = conformity_words(from, measurement); !words.empty())
+    section.blocks.push_back(Paragraph{words});
   DocumentTable table = value_table(from);
   for (const char* ref_type :
        {"abc_sensitivityMatrix", "abc_intrinsicSensitivities", "abc_intrinsicAngles", "abc_offsets"}) {
@@ -103,49 +124,60 @@ Section result_section(const PageSource& from, xmlNode* measurement, const std::
   if (xmlNode* matrix = result_of(from, measurement, "abc_sensitivityMatrix"))
     section.blocks.push_back(Paragraph{
         from.content("dcc:description", matrix) + " " +
-        from.say("k is that of the effective degrees of freedom ν; ∞: so many that they do not change k.")});
+        from.say("k is that of the effective degrees of freedom ν; ∞: so many that they do not change k.") +
+        (from.xml.any(".//dcc:metaData[@refType='abc_outsideScope']", measurement)
+             ? " " + from.say("*: outside the scope that the laboratory states.")
+             : "")});
   return section;
 }
 
-std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& kind, bool own) {
+/// @param as_stated  in the unit in which the limit is stated, with this unit; else in the SI unit of the
+/// decision
+std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& kind, bool as_stated) {
   const std::string lower = "dcc:data/dcc:quantity[@refType='basic_" + kind + "Lower']",
                     upper = "dcc:data/dcc:quantity[@refType='basic_" + kind + "Upper']";
+  std::string unit;
   const auto shown = [&](const std::string& path) -> std::string {
     const auto found = from.xml.nodes(path, facts);
-    return found.empty() ? "" : values_of(from, found.front(), own).front().value;
+    if (found.empty()) return "";
+    const PageValue value =
+        values_of(from, found.front(), as_stated && is_hybrid(from, found.front())).front();
+    if (as_stated && value.unit != "1") unit = " " + value.unit;
+    return value.value;
   };
   const std::string low = shown(lower), high = shown(upper);
-  if (!low.empty() && !high.empty()) return from.words("{} to {}", low, high).text;
-  return low.empty() ? "≤ " + high : "≥ " + low;
+  if (!low.empty() && !high.empty()) return from.words("{} to {}", low, high).text + unit;
+  return (low.empty() ? "≤ " + high : "≥ " + low) + unit;
 }
 
 Section decision_section(const PageSource& from, xmlNode* result, const std::string& title) {
   DocumentTable table;
   table.dense = true;
-  table.columns = {{from.say("Quantity")},
+  table.columns = {{from.say("Quantity"), CellKind::kSymbol},
                    {from.say("Value"), CellKind::kNumber},
                    {"U", CellKind::kNumber},
                    {from.say("Unit"), CellKind::kUnit},
-                   {from.say("Tolerance"), CellKind::kNumber},
+                   {from.say("Tolerance"), CellKind::kUnit},
                    {from.say("Acceptance"), CellKind::kNumber},
                    {from.say("Probability"), CellKind::kNumber},
-                   {from.say("Decision")}};
+                   {from.say("Decision"), CellKind::kUnit}};
   for (xmlNode* quantity : quantities_of(from, result)) {
-    const bool own = is_hybrid(from, quantity);
-    const PageValue value = values_of(from, quantity, own).front();
+    const PageValue value = values_of(from, quantity).front();  // In SI units, as on the first page.
     const auto metadata =
         from.xml.nodes("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']", quantity);
     xmlNode* facts = metadata.front();
     const std::string probability =
         from.text("dcc:data/dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value", facts);
     table.rows.push_back(
-        {quantity_words(from, from.content("dcc:name", quantity)), value.value, value.expanded, value.unit,
-         limit_of(from, facts, "toleranceLimit", own), limit_of(from, facts, "acceptanceLimit", own),
-         typeset_number(probability, from.words), from.words.known(from.text("dcc:conformity", facts))});
+        {symbol_or_words(from, from.content("dcc:name", quantity)) + scope_star(from, quantity), value.value,
+         value.expanded, value.unit, limit_of(from, facts, "toleranceLimit", true),
+         limit_of(from, facts, "acceptanceLimit", false), typeset_number(probability, from.words),
+         from.words.known(from.text("dcc:conformity", facts))});
   }
   Section section{title, {}};
   section.blocks.emplace_back(std::move(table));
   section.blocks.push_back(Paragraph{
+      from.content("dcc:description", result) + " " +
       from.content("dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_decisionRule']/"
                    "dcc:declaration") +
       " " +
@@ -159,19 +191,20 @@ Section decision_section(const PageSource& from, xmlNode* result, const std::str
 Section shift_section(const PageSource& from, xmlNode* result) {
   DocumentTable table;
   table.caption = from.content("dcc:description", result);
-  table.columns = {{from.say("Quantity")},
+  table.columns = {{from.say("Quantity"), CellKind::kSymbol},
                    {from.say("Difference"), CellKind::kNumber},
                    {"U", CellKind::kNumber},
                    {from.say("Unit"), CellKind::kUnit},
                    {"E_n", CellKind::kNumber}};
   for (xmlNode* quantity : quantities_of(from, result)) {
-    const PageValue value = values_of(from, quantity, is_hybrid(from, quantity)).front();
+    const PageValue value = values_of(from, quantity).front();
     table.rows.push_back(
-        {quantity_words(from, from.content("dcc:name", quantity)), value.value, value.expanded, value.unit,
-         typeset_number(
-             from.text("dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value",
-                       quantity),
-             from.words)});
+        {symbol_or_words(from, from.content("dcc:name", quantity)) + scope_star(from, quantity), value.value,
+         value.expanded, value.unit,
+         typeset_number(from.text("dcc:measurementMetaData/dcc:metaData[@refType='abc_normalisedError']/"
+                                  "dcc:data/dcc:quantity/si:real/si:value",
+                                  quantity),
+                        from.words)});
   }
   return {from.content("dcc:name", result), {table}};
 }
@@ -240,15 +273,24 @@ Section equipment_section(const PageSource& from, xmlNode* measurement) {
 Section statement_section(const PageSource& from) {
   FactList list;
   for (const char* ref_type :
-       {"abc_uncertainty", "abc_deviations", "abc_scope", "abc_reproduction", "abc_sampling",
+       {"abc_measurand", "abc_uncertainty", "abc_deviations", "abc_scope", "abc_reproduction", "abc_sampling",
         "abc_externalResults", "abc_opinions", "basic_adjustment", "abc_customerSupplied",
         "basic_recalibration", "abc_amendment", "abc_witness"}) {
     for (xmlNode* statement : from.xml.nodes(
              fmt::format("dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']", ref_type)))
       add_fact(list, from.content("dcc:name", statement),
-               joined({from.content("dcc:declaration", statement), from.text("dcc:date", statement)}, " "));
+               joined({from.sentences("dcc:declaration", statement), from.text("dcc:date", statement)}, " "));
   }
   return {from.say("Statements"), {list}};
+}
+
+/// Every statement that an amendment changed; nothing without an amendment that changed any.
+Section amendment_section(const PageSource& from) {
+  const std::vector<std::string> changed = from.xml.texts(
+      "dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_amendment']/dcc:reference");
+  Section section{from.say("Changed statements"), {}};
+  if (!changed.empty()) section.blocks.emplace_back(BulletList{changed});
+  return section;
 }
 
 Section person_section(const PageSource& from) {
@@ -322,15 +364,13 @@ void add_annex(const PageSource& from, const std::vector<xmlNode*>& measurements
                const std::vector<xmlNode*>& series, const std::vector<std::string>& shown,
                Document& document) {
   const bool pair = measurements.size() > 1;
-  bool first = true;
   for (xmlNode* measurement : measurements) {
     std::vector<Section> annex = annex_sections(
         from, measurement, measurement == measurements.back() ? shown : std::vector<std::string>{});
     if (annex.empty()) continue;
-    annex.front().on_new_page = first;
+    // The annex goes on behind the signatures, so that no page is left half empty.
     const std::string name = pair ? ", " + from.content("dcc:name", measurement) : "";
     annex.front().title = from.say("Annex") + name + ": " + annex.front().title;
-    first = false;
     std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
   }
   for (xmlNode* one : series) {
@@ -391,6 +431,10 @@ Document certificate_page(const std::string& xml) {
   std::vector<std::string> shown;
   Section further = further_section(from, last, kRoomOnSecondPage - std::min(used, kRoomOnSecondPage), shown);
   if (!further.blocks.empty()) second.push_back(std::move(further));
+  if (Section equation = equation_section(from, last); !equation.blocks.empty())
+    second.push_back(std::move(equation));
+  if (Section mounting = mounting_section(from); !mounting.blocks.empty())
+    second.push_back(std::move(mounting));
   second.push_back(condition_section(from, last));
   second.push_back(equipment_section(from, last));
   second.push_back(statement_section(from));
@@ -402,6 +446,10 @@ Document certificate_page(const std::string& xml) {
     std::move(over_temperature.begin(), over_temperature.end(), std::back_inserter(document.sections));
   }
   add_annex(from, measurements, series, shown, document);
+  if (Section changed = amendment_section(from); !changed.blocks.empty()) {
+    changed.title = from.say("Annex") + ": " + changed.title;
+    document.sections.push_back(std::move(changed));
+  }
   return document;
 }
 

@@ -8,6 +8,7 @@
 #include "app/laboratory/certificate/country_name.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
+#include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/statements.h"
 
 namespace abcal {
@@ -100,19 +101,7 @@ void add_items(XmlElement& administrative, const Certificate& certificate) {
   if (!one_line(owner_id).empty())
     add_identification(identifications, "customer", owner_id, words("Number of the owner"));
 
-  XmlElement settings;
-  for (const auto& [key, name] : {std::pair{"item.range", words("Range")},
-                                  {"item.filter", words("Filter")},
-                                  {"item.firmware", words("Firmware")},
-                                  {"item.supply", words("Supply")}}) {
-    const std::string text = one_line(data.label(key));
-    if (text.empty()) continue;
-    if (settings.node() == nullptr) settings = item.add("dcc:itemQuantities");
-    XmlElement quantity = settings.add("dcc:itemQuantity");
-    add_words(quantity, "dcc:name", name);
-    XmlElement value = quantity.add("dcc:noQuantity");
-    value.add("dcc:content", text);
-  }
+  add_item_quantities(item, words, data);
 }
 
 void add_person(XmlElement& persons, const LaboratoryFile& laboratory, const std::string& name,

@@ -6,10 +6,12 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <string>
 
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/traceability.h"
+#include "app/results/estimates/held_out_words.h"
 #include "protocol/plan/effect_sizes.h"
 
 namespace abcal {
@@ -196,6 +198,8 @@ void add_estimator(XmlElement& methods, const Words& words, const ReportData& da
 void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes& sizes) {
   XmlElement effects = uncertainty.add("dcc:usedMethodQuantities");
   for (const EffectSizeKey& key : effect_size_keys()) {
+    // An effect that nobody stated and that is not in the fit does not apply.
+    if (!(key.get(sizes) > 0.0) && !sizes.sources.contains(key.key)) continue;
     XmlElement effect = effects.add("dcc:usedMethodQuantity");
     effect.attribute("refType", "abc_effect");
     add_words(effect, "dcc:name", words.as_given(words.known(key.words)));
@@ -211,6 +215,24 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
                                     : "\\one",
              std::string(key.words));
   }
+}
+
+/// |a| on held-out poses: a check of the stated uncertainties, and no result.
+void add_held_out_norm(XmlElement& list, const Words& words, const HeldOutNorm& norm) {
+  XmlElement metadatum =
+      add_metadatum(list, "abc_heldOutNorm", words("Check of U: magnitude of a on held-out poses"));
+  add_words(metadatum, "dcc:description", words.composed(held_out_words(norm)));
+  XmlElement data = metadatum.add("dcc:data");
+  const auto add = [&](const std::string& ref_type, const Wording& name, double value) {
+    XmlElement quantity = data.add("dcc:quantity");
+    quantity.attribute("refType", ref_type);
+    add_words(quantity, "dcc:name", name);
+    // The digits of the sentence.
+    add_real(quantity, std::stod(fmt::format("{:.1e}", value)), "\\one", name.text);
+  };
+  add("abc_heldOutRms", words("root mean square of |a|/g_loc - 1"), norm.rms);
+  add("abc_heldOutRmsOfModel", words("the same by the fitted model of the item"), norm.rms_of_model);
+  add("abc_heldOutRmsExpected", words("expected of it by the stated uncertainties"), norm.rms_expected);
 }
 
 }  // namespace
@@ -314,6 +336,7 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
     XmlElement metadatum = add_metadatum(list, "abc_note", words("Note of the analysis"));
     add_words(metadatum, "dcc:description", words.composed(note));
   }
+  if (data.held_out_norm) add_held_out_norm(list, words, *data.held_out_norm);
 }
 
 }  // namespace abcal

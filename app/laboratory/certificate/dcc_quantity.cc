@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 
@@ -29,26 +30,26 @@ XmlElement add_quantity(XmlElement& parent, const std::string& ref_type, const W
 
 namespace {
 
+bool is_shown(ScopeMark mark) {
+  return mark == ScopeMark::kRaised || mark == ScopeMark::kOutside;
+}
+
 /// Degrees of freedom below this are stated; k of more is that of a normal distribution to all its digits.
 constexpr double kManyDegrees = 1000.0;
 
-/// Degrees of freedom of each output, and which uncertainties were raised to the scope's.
+/// Degrees of freedom of each output, which uncertainties were raised to the scope's, and what is outside of
+/// it.
 void add_list_metadata(XmlElement& quantity, const Words& words, const ValueList& list) {
-  std::vector<std::string> labels, degrees, raised;
-  std::vector<std::string> calculated;
+  std::vector<std::string> labels, degrees;
   for (Eigen::Index i = 0; i < list.values.size(); ++i) {
     const auto at = static_cast<std::size_t>(i);
     if (list.degrees_of_freedom[i] < kManyDegrees) {
       labels.push_back("nu(" + list.labels[at] + ")");
       degrees.push_back(fmt::format("{:.0f}", std::floor(list.degrees_of_freedom[i])));
     }
-    const double own = list.coverage_factor[i] * list.standard_uncertainty[i];
-    if (!list.cmc.empty() && certified_uncertainty(own, list.cmc[at]).raised) {
-      raised.push_back("U(" + list.labels[at] + ")");
-      calculated.push_back(rounded_value(0.0, own, list.labels[at]).expanded);
-    }
   }
-  if (labels.empty() && raised.empty()) return;
+  const bool marked = std::any_of(list.marks.begin(), list.marks.end(), is_shown);
+  if (labels.empty() && !marked) return;
   XmlElement metadata = quantity.add("dcc:measurementMetaData");
   if (!labels.empty()) {
     XmlElement metadatum =
@@ -57,14 +58,25 @@ void add_list_metadata(XmlElement& quantity, const Words& words, const ValueList
     XmlElement of = add_quantity(data, "abc_degreesOfFreedom", words("Effective degrees of freedom"));
     add_number_list(of, labels, degrees, "\\one");
   }
-  if (raised.empty()) return;
-  XmlElement metadatum = add_metadatum(metadata, "abc_raisedToScope",
-                                       words("U raised to the smallest of the laboratory's scope (CMC)"));
-  add_text(metadatum, words("As computed, in {}: {}", list.unit,
-                            fmt::format("{} = {}", fmt::join(raised, ", "), fmt::join(calculated, ", "))));
+  if (marked) add_scope_marks(metadata, words, list.labels, list.marks);
 }
 
 }  // namespace
+
+void add_scope_marks(XmlElement& metadata, const Words& words, const std::vector<std::string>& labels,
+                     const std::vector<ScopeMark>& marks) {
+  const auto add = [&](ScopeMark mark, const char* ref_type, const Wording& name) {
+    std::vector<std::string> marked;
+    for (std::size_t i = 0; i < marks.size(); ++i)
+      if (marks[i] == mark) marked.push_back(labels[i]);
+    if (marked.empty()) return;
+    XmlElement metadatum = add_metadatum(metadata, ref_type, name);
+    add_text(metadatum, words.as_given(fmt::format("{}", fmt::join(marked, " "))));
+  };
+  add(ScopeMark::kRaised, "abc_raisedToScope",
+      words("U raised to the smallest of the laboratory's scope (CMC)"));
+  add(ScopeMark::kOutside, "abc_outsideScope", words("Outside the scope that the laboratory states"));
+}
 
 XmlElement add_list(XmlElement& parent, const Words& words, const Wording& name, const ValueList& list) {
   XmlElement quantity = add_quantity(parent, "basic_measuredValue", name);

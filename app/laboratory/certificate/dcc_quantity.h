@@ -17,7 +17,12 @@ XmlElement add_result(XmlElement& results, const std::string& ref_type, const Wo
 /// Adds a dcc:quantity with its name.
 XmlElement add_quantity(XmlElement& parent, const std::string& ref_type, const Wording& name);
 
-/// Adds a list of measured values, with low degrees of freedom, and uncertainties raised to the scope.
+/// Adds which of the quantities have an uncertainty that was raised to the scope's, and which are outside of
+/// it.
+void add_scope_marks(XmlElement& metadata, const Words& words, const std::vector<std::string>& labels,
+                     const std::vector<ScopeMark>& marks);
+
+/// Adds a list of measured values, with low degrees of freedom and the marks of the scope.
 /// @return the quantity
 /// @throws NumberNotFinite
 XmlElement add_list(XmlElement& parent, const Words& words, const Wording& name, const ValueList& list);

@@ -8,13 +8,14 @@
 #include <cmath>
 #include <functional>
 
+#include "app/ground/units/dsi_unit.h"
 #include "app/laboratory/certificate/dcc_budget.h"
 #include "app/laboratory/certificate/dcc_conditions.h"
 #include "app/laboratory/certificate/dcc_quantity.h"
 #include "app/laboratory/certificate/dcc_temperature.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
-#include "app/laboratory/certificate/scope.h"
+#include "app/laboratory/certificate/measurand.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 
 namespace abcal {
@@ -87,79 +88,62 @@ Eigen::MatrixXd covariance_of(const CalibrationResult& result, const DerivedList
   });
 }
 
-const DerivedList& group_of(const CertifiedRun& run, std::string_view name) {
-  const auto found = std::find_if(run.derived.begin(), run.derived.end(),
+const DerivedList& group_of(const StatedResult& stated, std::string_view name) {
+  const auto found = std::find_if(stated.derived.begin(), stated.derived.end(),
                                   [&](const DerivedGroup& group) { return group.name == name; });
-  if (found == run.derived.end()) throw std::logic_error(fmt::format("nothing was derived as {}", name));
+  if (found == stated.derived.end()) throw std::logic_error(fmt::format("nothing was derived as {}", name));
   return found->quantities;
 }
 
-using Scope = std::vector<ScopeLimit>;
+/// The list with the marks of the scope. Each value is named by the group and by the part of its label after
+/// "_": "offset" and "O_u" are "offset_u".
+ValueList marked(const StatedResult& stated, const std::string& group, ValueList list) {
+  if (stated.marks.empty()) return list;
+  for (const std::string& label : list.labels)
+    list.marks.push_back(stated.mark(group + label.substr(label.rfind('_'))));
+  return list;
+}
 
-/// The scope, as it holds for the values of a result.
-struct ScopeOfResult {
-  const Scope& scope;
-  const CalibrationResult& result;
-
-  /// The list with the smallest uncertainties that the scope allows for its values. Each is named by the
-  /// group and by the part of its label after "_": "offset" and "O_u" are "offset_u".
-  ValueList within(const std::string& group, ValueList list) const {
-    for (Eigen::Index i = 0; i < list.values.size(); ++i)
-      list.cmc.push_back(least(group, list, i, list.unit));
-    return list;
-  }
-
-  /// The list of sensitivities followed by the offsets, with the smallest uncertainties that the scope
-  /// allows.
-  ValueList all_within(ValueList list) const {
-    list = within("sensitivity", std::move(list));
-    for (Eigen::Index i = 9; i < list.values.size(); ++i)
-      list.cmc[static_cast<std::size_t>(i)] = least("offset", list, i, result.offset[0].unit);
-    return list;
-  }
-
- private:
-  std::optional<double> least(const std::string& group, const ValueList& list, Eigen::Index i,
-                              const std::string& unit) const {
-    const std::string& label = list.labels[static_cast<std::size_t>(i)];
-    Quantity quantity;
-    quantity.value = list.values[i];
-    quantity.unit = unit;
-    return smallest_uncertainty(scope, result, group + label.substr(label.rfind('_')), quantity);
-  }
-};
+/// The same for the sensitivities row by row, which the offsets follow.
+ValueList all_marked(const StatedResult& stated, ValueList list) {
+  list = marked(stated, "sensitivity", std::move(list));
+  for (std::size_t i = 9; i < list.marks.size(); ++i)
+    list.marks[i] = stated.mark("offset" + list.labels[i].substr(list.labels[i].rfind('_')));
+  return list;
+}
 
 /// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
-void add_si(XmlElement& results, const Words& words, const ScopeOfResult& scope, const CertifiedRun& run) {
-  const CalibrationResult& result = run.data.result();
-  const DerivedList &sensitivity = group_of(run, "sensitivity"),
-                    &intrinsic = group_of(run, "intrinsic_sensitivity");
+void add_si(XmlElement& results, const Words& words, const StatedResult& stated) {
+  const CalibrationResult& result = stated.result;
+  const DerivedList &sensitivity = group_of(stated, "sensitivity"),
+                    &intrinsic = group_of(stated, "intrinsic_sensitivity");
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
                  words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
   add_rows(matrix, words, [&](std::size_t j) {
     const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
     const DerivedList row(first, first + 3);
-    return scope.within("sensitivity",
-                        list_of(row_labels("s", j), values_of(row), covariance_of(result, row)));
+    return marked(stated, "sensitivity",
+                  list_of(row_labels("s", j), values_of(row), covariance_of(result, row)));
   });
-  add_values(results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
-             scope.within("intrinsic_sensitivity", list_of(labels("s", kAccelerometers), values_of(intrinsic),
-                                                           covariance_of(result, intrinsic))));
+  add_values(
+      results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
+      marked(stated, "intrinsic_sensitivity",
+             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic))));
   const Eigen::MatrixXd nine = *result.covariance_intrinsic;
   add_values(results, words, "abc_intrinsicAngles",
              words("Intrinsic angles between the sensitive directions"),
-             scope.within("intrinsic_angle",
-                          list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
+             marked(stated, "intrinsic_angle",
+                    list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
   add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
-             scope.within("offset",
-                          list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
+             marked(stated, "offset",
+                    list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
 }
 
 /// Results in the form of the analysis: change of the output for one g_loc. They do not include the
 /// uncertainty of local gravity.
-void add_per_gravity(XmlElement& results, const Words& words, const ScopeOfResult& scope) {
-  const CalibrationResult& result = scope.result;
+void add_per_gravity(XmlElement& results, const Words& words, const StatedResult& stated) {
+  const CalibrationResult& result = stated.result;
   const std::string s = "g_loc*s";
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
@@ -170,18 +154,19 @@ void add_per_gravity(XmlElement& results, const Words& words, const ScopeOfResul
   add_rows(matrix, words, [&](std::size_t j) {
     const auto& row = (*result.sensitivity_matrix)[j];
     twelve.insert(twelve.end(), row.begin(), row.end());
-    return scope.within("sensitivity", list_of(row_labels(s, j), {row.begin(), row.end()},
-                                               block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
+    return marked(stated, "sensitivity",
+                  list_of(row_labels(s, j), {row.begin(), row.end()},
+                          block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
   });
   add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
              words("Intrinsic sensitivities per local gravity"),
-             scope.within("intrinsic_sensitivity",
-                          list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
-                                  block(*result.covariance_intrinsic, 0))));
+             marked(stated, "intrinsic_sensitivity",
+                    list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                            block(*result.covariance_intrinsic, 0))));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
   add_values(results, words, "abc_allOutputsPerGravity",
              words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
-             scope.all_within(list_of(output_labels(s), twelve, *result.covariance)));
+             all_marked(stated, list_of(output_labels(s), twelve, *result.covariance)));
 }
 
 /// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
@@ -205,26 +190,34 @@ void add_correlation(XmlElement& data, const std::string& ref_type, const Wordin
   }
 }
 
-void add_correlations(XmlElement& results, const Words& words, const CertifiedRun& run) {
-  const CalibrationResult& result = run.data.result();
-  // Quantities per m/s2, so that their common error of local gravity is included.
-  DerivedList all = group_of(run, "sensitivity");
+void add_correlations(XmlElement& results, const Words& words, const StatedResult& stated,
+                      const std::optional<CustomerEquation>& equation) {
+  const CalibrationResult& result = stated.result;
   const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
-  const auto add_output = [&](DerivedList& list, const auto& gradient) {
-    list.emplace_back().gradient.template head<12>() = gradient;
+  // Quantities per m/s2, so that their common error of local gravity is included.
+  DerivedList nine = group_of(stated, "intrinsic_sensitivity");
+  const auto add_output = [&](const auto& gradient) {
+    nine.emplace_back().gradient.template head<12>() = gradient;
   };
-  DerivedList nine = group_of(run, "intrinsic_sensitivity");
-  for (Eigen::Index row = 3; row < 6; ++row) add_output(nine, jacobian.row(row).transpose());
-  for (DerivedList* list : {&all, &nine})
-    for (Eigen::Index j = 9; j < 12; ++j) add_output(*list, Eigen::Matrix<double, 12, 1>::Unit(j));
+  for (Eigen::Index row = 3; row < 6; ++row) {
+    // A raised angle has a larger uncertainty than the matrix gives it.
+    const double raised = std::sqrt((*result.covariance_intrinsic)(row, row) /
+                                    (jacobian.row(row) * *result.covariance).dot(jacobian.row(row)));
+    const double factor = std::isfinite(raised) ? std::max(1.0, raised) : 1.0;
+    add_output(factor * jacobian.row(row).transpose());
+  }
+  for (Eigen::Index j = 9; j < 12; ++j) add_output(Eigen::Matrix<double, 12, 1>::Unit(j));
   XmlElement data = add_result(
       results, "abc_correlations", words("Coefficients of correlation"),
       words("With the standard uncertainties U/k they give the covariance of all outputs together."));
   add_correlation(data, "abc_correlationOutputs", words("Sensitivity matrix row by row and offsets"),
-                  output_labels("s"), covariance_of(result, all));
+                  output_labels("s"), covariance_of_outputs(stated));
   add_correlation(data, "abc_correlationIntrinsic",
                   words("Intrinsic sensitivities, intrinsic angles and offsets"), intrinsic_labels("s"),
                   covariance_of(result, nine));
+  if (equation)
+    add_correlation(data, "abc_correlationEquation", words("Matrix M row by row and offsets b"),
+                    equation_labels(), equation->covariance);
 }
 
 /// "transverse_sensitivity" as "abc_transverseSensitivity".
@@ -242,7 +235,7 @@ std::string ref_type_of(const std::string& group) {
   return name;
 }
 
-void add_derived_group(XmlElement& results, const Words& words, const ScopeOfResult& scope,
+void add_derived_group(XmlElement& results, const Words& words, const StatedResult& stated,
                        const DerivedGroup& group, const std::pair<std::string, Wording>& heading) {
   const auto& [ref_type, name] = heading;
   std::vector<Quantity> values;
@@ -260,37 +253,50 @@ void add_derived_group(XmlElement& results, const Words& words, const ScopeOfRes
                      : words("Left out where the transverse sensitivity does not exceed its expanded "
                              "uncertainty, so that it has no direction."));
   const std::string& first = group.quantities.front().name;
-  add_list(data, words, name, scope.within(first.substr(0, first.rfind('_')), list_of(names, values)));
+  add_list(data, words, name, marked(stated, first.substr(0, first.rfind('_')), list_of(names, values)));
 }
 
-void add_decision(XmlElement& data, const Words& words, const Decision& decision) {
-  const SpecificationLimit& limit = decision.limit;
+/// A tolerance limit in the SI unit of the decision, and as it is stated where that is another unit.
+void add_limit(XmlElement& facts, const std::string& ref_type, const Wording& name,
+               const std::pair<double, std::string>& in_si, const std::pair<double, std::string>& stated) {
+  XmlElement quantity = add_quantity(facts, ref_type, name);
+  const auto add_real = [&](XmlElement& parent, const std::pair<double, std::string>& number) {
+    XmlElement real = parent.add("si:real");
+    real.add("si:value", dsi_number(number.first, name.text));
+    real.add("si:unit", number.second);
+  };
+  if (in_si.second == stated.second) return add_real(quantity, in_si);
+  XmlElement both = quantity.add("si:hybrid");
+  add_real(both, in_si);
+  add_real(both, stated);
+}
+
+void add_decision(XmlElement& data, const Words& words, const StatedResult& result,
+                  const Decision& decision) {
+  const SpecificationLimit &limit = decision.limit, &stated = decision.stated;
   XmlElement quantity = add_quantity(data, "basic_measuredValue", {limit.quantity, {}});
-  Quantity value;
-  value.value = decision.value;
-  value.unit = limit.unit;
-  value.degrees_of_freedom = decision.degrees_of_freedom;
-  // The U of the decision, also if the scope raised it.
-  value.standard_uncertainty = decision.expanded_uncertainty / coverage_factor(value);
-  add_value(quantity, value, limit.quantity);
+  add_value(quantity, decision.quantity, limit.quantity);
   XmlElement metadata = quantity.add("dcc:measurementMetaData");
   XmlElement conformity =
       add_metadatum(metadata, "basic_conformity", words("Conformity of {}", limit.quantity));
   add_line(conformity, "dcc:reference", limit.source);
   conformity.add("dcc:conformity", to_string(decision.conformity));
   XmlElement facts = conformity.add("dcc:data");
-  const auto add_limit = [&](const std::string& ref_type, const Wording& name,
-                             const std::optional<double>& of) {
-    if (of) add_number(facts, ref_type, name, dsi_number(*of, limit.quantity), limit.unit);
+  const UnitInDsi in = unit_in_dsi(stated.unit, result.result.g_loc.value);
+  const std::string own = in.own ? in.own->text() : in.unit.text();
+  const auto add_tolerance = [&](const std::string& ref_type, const Wording& name,
+                                 const std::optional<double>& in_si, const std::optional<double>& as_stated) {
+    if (in_si && as_stated) add_limit(facts, ref_type, name, {*in_si, limit.unit}, {*as_stated, own});
   };
-  add_limit("basic_toleranceLimitLower", words("lower tolerance limit"), limit.lower);
-  add_limit("basic_toleranceLimitUpper", words("upper tolerance limit"), limit.upper);
+  add_tolerance("basic_toleranceLimitLower", words("lower tolerance limit"), limit.lower, stated.lower);
+  add_tolerance("basic_toleranceLimitUpper", words("upper tolerance limit"), limit.upper, stated.upper);
   // Numbers that follow from U have the digits of U.
   const auto add_rounded = [&](const std::string& ref_type, const Wording& name,
                                const std::optional<double>& of) {
-    if (of)
-      add_number(facts, ref_type, name,
-                 rounded_value(*of, decision.expanded_uncertainty, limit.quantity).value, limit.unit);
+    if (!of) return;
+    XmlElement real = add_quantity(facts, ref_type, name).add("si:real");
+    real.add("si:value", rounded_value(*of, decision.expanded_uncertainty, limit.quantity).value);
+    real.add("si:unit", limit.unit);
   };
   add_rounded("basic_acceptanceLimitLower", words("lower acceptance limit"), decision.lower_acceptance);
   add_rounded("basic_acceptanceLimitUpper", words("upper acceptance limit"), decision.upper_acceptance);
@@ -300,9 +306,11 @@ void add_decision(XmlElement& data, const Words& words, const Decision& decision
              words("probability that the true value lies inside the tolerance limits"),
              dsi_number(std::round(decision.conformance_probability * kDigits) / kDigits, limit.quantity),
              "1");
+  add_scope_marks(metadata, words, {limit.quantity}, {result.mark(limit.quantity)});
 }
 
-void add_shifts(XmlElement& results, const Words& words, const std::vector<Shift>& shifts) {
+void add_shifts(XmlElement& results, const Words& words, const StatedResult& stated,
+                const std::vector<Shift>& shifts) {
   if (shifts.empty()) return;
   XmlElement data = add_result(
       results, "abc_shift", words("As left minus as found"),
@@ -316,43 +324,47 @@ void add_shifts(XmlElement& results, const Words& words, const std::vector<Shift
     XmlElement error = add_metadatum(metadata, "abc_normalisedError", name);
     XmlElement facts = error.add("dcc:data");
     add_number(facts, "abc_normalisedError", name, fmt::format("{:.2f}", shift.normalised_error), "1");
+    add_scope_marks(metadata, words, {shift.name}, {stated.mark(shift.name)});
   }
 }
 
-void add_results(XmlElement& measurement, const Words& words, const Scope& scope, const CertifiedRun& run,
+void add_results(XmlElement& measurement, const Words& words, const CertifiedRun& run,
                  const std::vector<Shift>& shifts) {
   XmlElement results = measurement.add("dcc:results");
-  const CalibrationResult& result = run.data.result();
+  const StatedResult& stated = run.stated;
   if (!run.has_numbers()) {
     XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
               words("No numbers are given, since the run gave none that may be used: {}",
-                    words.composed(result.why).text));
+                    words.composed(run.data.result().why).text));
     return;
   }
-  const ScopeOfResult of_result{scope, result};
-  add_si(results, words, of_result, run);
-  add_per_gravity(results, words, of_result);
+  add_si(results, words, stated);
+  const std::optional<CustomerEquation> equation = customer_equation(stated);
+  if (equation) add_customer_equation(results, words, *equation);
+  add_per_gravity(results, words, stated);
   int unit = 0;
-  for (const DerivedGroup& group : run.derived) {
+  for (const DerivedGroup& group : stated.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
     if (!group.name.starts_with("sensitivity [")) {
-      add_derived_group(results, words, of_result, group, {ref_type_of(group.name), words(group.words)});
+      add_derived_group(results, words, stated, group, {ref_type_of(group.name), words(group.words)});
       continue;
     }
     const std::string& own = group.quantities.front().value.unit;
-    const Wording name = own.ends_with("/g") ? words("Sensitivity in {}, with standard gravity", own)
-                                             : words("Sensitivity in {}", own);
-    add_derived_group(results, words, of_result, group,
-                      {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
+    const Wording name = own.ends_with("/g_n") ? words("Sensitivity in {}, with standard gravity", own)
+                                               : words("Sensitivity in {}", own);
+    add_derived_group(results, words, stated, group, {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
   }
   if (!run.decisions.empty()) {
-    XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"));
-    for (const Decision& decision : run.decisions) add_decision(data, words, decision);
+    XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"),
+                                 words("Each limit is converted to the SI unit of its quantity once; each "
+                                       "decision is made from the printed "
+                                       "numbers."));
+    for (const Decision& decision : run.decisions) add_decision(data, words, stated, decision);
   }
-  add_shifts(results, words, shifts);
-  add_correlations(results, words, run);
-  if (run.data.budget) add_budget(results, words, run.data);
+  add_shifts(results, words, stated, shifts);
+  add_correlations(results, words, stated, equation);
+  if (run.data.budget) add_budget(results, words, *run.data.budget, run);
 }
 
 void add_measurement(XmlElement& measurements, const Certificate& certificate, const CertifiedRun& run,
@@ -368,7 +380,7 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
   add_conditions(measurement, certificate, {&run.data}, state);
-  add_results(measurement, words, certificate.laboratory.scope, run, shifts);
+  add_results(measurement, words, run, shifts);
   add_metadata(measurement, certificate, run.data);
 }
 

@@ -55,14 +55,31 @@ Quantity quantity_of(double value, double standard_uncertainty, const std::strin
   return quantity;
 }
 
-/// The smallest uncertainty of an output that the scope allows.
-std::optional<double> smallest_of_output(const SeriesSource& from, std::size_t k, const Quantity& quantity) {
+/// Whether results are marked as within or outside a scope.
+bool has_marks(const SeriesSource& from) {
+  return !from.certificate.run.stated.marks.empty();
+}
+
+/// Raises the uncertainty of an output to the smallest of the scope.
+ScopeMark raise(const SeriesSource& from, std::size_t k, Quantity& quantity) {
+  if (!has_marks(from)) return ScopeMark::kNone;
   const std::string& name = from.result.polynomials[k].name;
   const char* group = k < kInGroup       ? "intrinsic_sensitivity"
                       : k < 2 * kInGroup ? "intrinsic_angle"
                                          : "offset";
-  return smallest_uncertainty(from.certificate.laboratory.scope, from.at_reference,
-                              group + name.substr(name.rfind('_')), quantity);
+  const auto cmc = smallest_uncertainty(from.certificate.laboratory.scope, from.at_reference,
+                                        group + name.substr(name.rfind('_')), quantity);
+  if (!cmc) return ScopeMark::kOutside;
+  const double least = *cmc / coverage_factor(quantity);
+  if (!(least > quantity.standard_uncertainty)) return ScopeMark::kWithin;
+  quantity.standard_uncertainty = least;
+  return ScopeMark::kRaised;
+}
+
+/// A list of changes with temperature, which no scope covers.
+ValueList unscoped(const SeriesSource& from, ValueList list) {
+  if (has_marks(from)) list.marks.assign(list.labels.size(), ScopeMark::kOutside);
+  return list;
 }
 
 /// In kelvin and in degrees Celsius.
@@ -134,13 +151,13 @@ void add_points(XmlElement& results, const SeriesSource& from) {
     const auto i = static_cast<Eigen::Index>(k);
     const std::string& unit = from.result.polynomials[k].unit;
     std::vector<Quantity> values;
-    std::vector<std::optional<double>> cmc;
+    std::vector<ScopeMark> marks;
     for (const TemperaturePoint& point : from.result.points) {
       values.push_back(quantity_of(point.value[i], std::sqrt(point.own(i, i) + point.shared(i, i)), unit));
-      cmc.push_back(smallest_of_output(from, k, values.back()));
+      marks.push_back(raise(from, k, values.back()));
     }
     ValueList list = list_of(labels, values);
-    list.cmc = std::move(cmc);
+    if (has_marks(from)) list.marks = std::move(marks);
     add_list(data, words, {output_symbol_of(k, from.result.polynomials[k].name), {}}, list);
   }
 }
@@ -176,10 +193,11 @@ void add_coefficients(XmlElement& results, const SeriesSource& from, const Coeff
     ends.push_back(certified_coefficient(from, k, one.end_point, one.end_point_uncertainty,
                                          one.end_point_degrees_of_freedom));
   }
-  add_list(data, words, words("Slope at T0"), list_of(labels, slope));
+  add_list(data, words, words("Slope at T0"), unscoped(from, list_of(labels, slope)));
   add_list(data, words, words("Box: largest minus smallest over the range, divided by it"),
-           list_of(labels, box));
-  add_list(data, words, words("End points: change over the range, divided by it"), list_of(labels, ends));
+           unscoped(from, list_of(labels, box)));
+  add_list(data, words, words("End points: change over the range, divided by it"),
+           unscoped(from, list_of(labels, ends)));
 }
 
 void add_polynomials(XmlElement& results, const SeriesSource& from) {
@@ -194,7 +212,6 @@ void add_polynomials(XmlElement& results, const SeriesSource& from) {
     const TemperaturePolynomial& polynomial = from.result.polynomials[k];
     std::vector<std::string> labels;
     std::vector<Quantity> values;
-    ValueList list;
     for (int n = 0; n <= polynomial.order; ++n) {
       labels.push_back(fmt::format("a_{}", n));
       values.push_back(quantity_of(polynomial.coefficient[static_cast<std::size_t>(n)],
@@ -202,10 +219,15 @@ void add_polynomials(XmlElement& results, const SeriesSource& from) {
       values.back().degrees_of_freedom =
           polynomial.degrees_of_freedom_of(Eigen::VectorXd::Unit(polynomial.order + 1, n));
     }
-    list = list_of(labels, values, polynomial.covariance);
+    // Raised all together, so that no value from the sum is below the scope and the correlations stay.
+    const double u = values.front().standard_uncertainty;
+    const ScopeMark mark = raise(from, k, values.front());
+    const double factor =
+        mark == ScopeMark::kRaised && u > 0.0 ? values.front().standard_uncertainty / u : 1.0;
+    for (std::size_t n = 1; n < values.size(); ++n) values[n].standard_uncertainty *= factor;
+    ValueList list = unscoped(from, list_of(labels, values, factor * factor * polynomial.covariance));
     list.all_digits = true;
-    list.cmc.resize(values.size());
-    list.cmc.front() = smallest_of_output(from, k, values.front());
+    if (has_marks(from)) list.marks.front() = mark;
     add_list(data, words, {output_symbol_of(k, polynomial.name), {}}, list);
   }
 }
@@ -224,6 +246,7 @@ void add_differences(XmlElement& results, const SeriesSource& from) {
       XmlElement quantity = add_quantity(data, "abc_upMinusDown", {output_symbol_of(k, one.name), {}});
       add_value(quantity, quantity_of(one.largest, one.standard_uncertainty, one.unit), one.name);
       XmlElement metadata = quantity.add("dcc:measurementMetaData");
+      if (has_marks(from)) add_scope_marks(metadata, words, {one.name}, {ScopeMark::kOutside});
       const Wording name = words("Set point");
       XmlElement at = add_metadatum(metadata, "abc_setPoint", name);
       XmlElement facts = at.add("dcc:data");
@@ -240,6 +263,9 @@ void add_differences(XmlElement& results, const SeriesSource& from) {
   for (std::size_t k = 0; k < kSeriesOutputs; ++k) {
     XmlElement quantity = add_quantity(data, "abc_closure", {output_symbol_of(k, all[k].name), {}});
     add_value(quantity, quantity_of(all[k].closure, all[k].closure_uncertainty, all[k].unit), all[k].name);
+    if (!has_marks(from)) continue;
+    XmlElement metadata = quantity.add("dcc:measurementMetaData");
+    add_scope_marks(metadata, words, {all[k].name}, {ScopeMark::kOutside});
   }
 }
 

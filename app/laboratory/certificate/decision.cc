@@ -3,9 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include "app/results/estimates/report_data.h"
 #include "protocol/uncertainty/normal_probability.h"
@@ -13,19 +15,71 @@
 namespace abcal {
 namespace {
 
-/// Distance from the nearest limit, positive inside.
-double distance_inside(const SpecificationLimit& limit, double value) {
-  double distance = std::numeric_limits<double>::infinity();
-  if (limit.lower) distance = std::min(distance, value - *limit.lower);
-  if (limit.upper) distance = std::min(distance, *limit.upper - value);
-  return distance;
+/// Limits within which a value lies. With a place (a power of ten) they are rounded to it, towards the
+/// inside, as a value of that place is.
+struct Interval {
+  std::optional<double> lower, upper;
+
+  static Interval of(const SpecificationLimit& limit, double guard, const std::optional<int>& place) {
+    Interval interval;
+    // Far below one digit: of 0.98 + 0.00012 the sum in binary is not 0.98012.
+    constexpr double kOfOneDigit = 1e-6;
+    const double digit = place ? std::pow(10.0, *place) : 0.0;
+    const auto inside = [&](double bound, double towards) {
+      if (!place) return bound;
+      const double digits = bound / digit;
+      return (towards > 0.0 ? std::ceil(digits - kOfOneDigit) : std::floor(digits + kOfOneDigit)) * digit;
+    };
+    if (limit.lower) interval.lower = inside(*limit.lower + guard, 1.0);
+    if (limit.upper) interval.upper = inside(*limit.upper - guard, -1.0);
+    return interval;
+  }
+
+  /// @param slack  half a digit of values that have a place
+  bool contains(double value, double slack) const {
+    return (!lower || value >= *lower - slack) && (!upper || value <= *upper + slack);
+  }
+};
+
+Conformity judge(const DecisionRule& rule, const Decision& decision, const std::optional<int>& place) {
+  const double slack = place ? 0.5 * std::pow(10.0, *place) : 0.0;
+  const auto is_within = [&](double guard) {
+    return Interval::of(decision.limit, guard, place).contains(decision.value, slack);
+  };
+  if (is_within(decision.guard_band)) return Conformity::kPass;
+  if (rule.kind != DecisionKind::kNonBinary) return Conformity::kFail;
+  if (is_within(0.0)) return Conformity::kConditionalPass;
+  return is_within(-decision.guard_band) ? Conformity::kConditionalFail : Conformity::kFail;
 }
 
-Conformity judge(DecisionKind kind, double distance, double guard) {
-  if (distance >= guard) return Conformity::kPass;
-  if (kind != DecisionKind::kNonBinary) return Conformity::kFail;
-  if (distance >= 0.0) return Conformity::kConditionalPass;
-  return distance >= -guard ? Conformity::kConditionalFail : Conformity::kFail;
+/// A number that rounded_value() wrote.
+double printed_number(const std::string& text) {
+  double number = std::numeric_limits<double>::quiet_NaN();
+  std::from_chars(text.data(), text.data() + text.size(), number);
+  return number;
+}
+
+Decision decide_at(const DecisionRule& rule, const SpecificationLimit& limit, double value,
+                   const std::pair<double, double>& expanded_and_factor, const std::optional<int>& place) {
+  const auto [expanded, factor] = expanded_and_factor;
+  if (!std::isfinite(value) || !(expanded >= 0.0) || !std::isfinite(expanded))
+    throw std::invalid_argument("no decision on " + limit.quantity + ": it has no value with an uncertainty");
+  if (!limit.lower && !limit.upper)
+    throw std::invalid_argument("no decision on " + limit.quantity + ": no limit is given");
+  Decision decision;
+  decision.stated = decision.limit = limit;
+  decision.value = value;
+  decision.standard_uncertainty = expanded / factor;
+  decision.coverage_factor = factor;
+  decision.expanded_uncertainty = expanded;
+  decision.guard_band = guard_band(rule, limit, expanded);
+  const Interval acceptance = Interval::of(limit, decision.guard_band, place);
+  decision.lower_acceptance = acceptance.lower;
+  decision.upper_acceptance = acceptance.upper;
+  decision.conformance_probability =
+      conformance_probability(value, decision.standard_uncertainty, limit.lower, limit.upper);
+  decision.conformity = judge(rule, decision, place);
+  return decision;
 }
 
 }  // namespace
@@ -110,24 +164,13 @@ double conformance_probability(double value, double standard_uncertainty, const 
 
 Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value,
                 double standard_uncertainty, double factor) {
-  if (!std::isfinite(value) || !(standard_uncertainty >= 0.0) || !std::isfinite(standard_uncertainty))
-    throw std::invalid_argument("no decision on " + limit.quantity + ": it has no value with an uncertainty");
-  if (!limit.lower && !limit.upper)
-    throw std::invalid_argument("no decision on " + limit.quantity + ": no limit is given");
-  Decision decision;
-  decision.limit = limit;
-  decision.value = value;
-  decision.standard_uncertainty = standard_uncertainty;
-  decision.coverage_factor = factor;
-  decision.expanded_uncertainty = factor * standard_uncertainty;
-  const double guard = guard_band(rule, limit, decision.expanded_uncertainty);
-  decision.guard_band = guard;
-  if (limit.lower) decision.lower_acceptance = *limit.lower + guard;
-  if (limit.upper) decision.upper_acceptance = *limit.upper - guard;
-  decision.conformance_probability =
-      conformance_probability(value, standard_uncertainty, limit.lower, limit.upper);
-  decision.conformity = judge(rule.kind, distance_inside(limit, value), guard);
-  return decision;
+  return decide_at(rule, limit, value, {factor * standard_uncertainty, factor}, {});
+}
+
+Decision decide_printed(const DecisionRule& rule, const SpecificationLimit& limit,
+                        const RoundedValue& printed, double factor) {
+  return decide_at(rule, limit, printed_number(printed.value), {printed_number(printed.expanded), factor},
+                   printed.place);
 }
 
 }  // namespace abcal

@@ -1,12 +1,13 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
 
+#include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/words.h"
+#include "protocol/estimators/shared/calibration_result.h"
 
 namespace abcal {
 
@@ -41,13 +42,15 @@ struct SpecificationLimit {
   std::uint32_t line = 0;  ///< In the laboratory file.
 };
 
-/// One decision and its reasons; all in the unit of the limit.
+/// One decision and its reasons; its numbers are those that the certificate prints, in the SI unit of the
+/// quantity.
 struct Decision {
-  SpecificationLimit limit;
+  SpecificationLimit stated;  ///< The limit as the customer states it.
+  SpecificationLimit limit;   ///< The same limit, converted to the SI unit of the quantity.
+  Quantity quantity;          ///< The stated quantity that was decided on.
   double value = 0.0;
   double standard_uncertainty = 0.0;
   double coverage_factor = 2.0;
-  double degrees_of_freedom = std::numeric_limits<double>::infinity();
   double expanded_uncertainty = 0.0;  ///< U = k u
   double guard_band = 0.0;            ///< w
   std::optional<double> lower_acceptance, upper_acceptance;
@@ -69,5 +72,12 @@ double conformance_probability(double value, double standard_uncertainty, const 
 /// @throws std::invalid_argument  value or uncertainty not finite, uncertainty negative, no limit at all
 Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value,
                 double standard_uncertainty, double factor = 2.0);
+
+/// Decides from numbers as they are printed, so that a reader of the numbers comes to the same decision. The
+/// acceptance limits are rounded to the last place of the value, towards the inside.
+/// @param printed  value and U = k u, in the limit's unit
+/// @throws as decide()
+Decision decide_printed(const DecisionRule& rule, const SpecificationLimit& limit,
+                        const RoundedValue& printed, double factor);
 
 }  // namespace abcal

@@ -11,6 +11,7 @@
 #include <stdexcept>
 #include <unsupported/Eigen/AutoDiff>
 
+#include "app/ground/units/typed_unit.h"
 #include "app/results/estimates/report_data.h"
 #include "protocol/plan/response_unit.h"
 
@@ -151,32 +152,8 @@ DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, c
   return group;
 }
 
-std::string per(const std::string& unit, const std::string& of) {
-  return (unit.find('/') == std::string::npos ? unit : "(" + unit + ")") + "/" + of;
-}
-
-std::vector<std::pair<std::string, const Quantity*>> of_result(const CalibrationResult& result) {
-  std::vector<std::pair<std::string, const Quantity*>> all;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t k = 0; k < 3 && result.sensitivity_matrix; ++k)
-      all.emplace_back(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k],
-                       &(*result.sensitivity_matrix)[j][k]);
-    all.emplace_back(std::string("intrinsic_sensitivity_") + kAccelerometers[j],
-                     &result.intrinsic_sensitivity[j]);
-    all.emplace_back(std::string("intrinsic_angle_") + kPairs[j], &result.intrinsic_angle[j]);
-    all.emplace_back(std::string("offset_") + kAccelerometers[j], &result.offset[j]);
-  }
-  return all;
-}
-
-template <class Visit>
-void visit_all(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
-               const std::string& name, Visit visit) {
-  for (const auto& [of, quantity] : of_result(result))
-    if (of == name && std::isfinite(quantity->value)) visit(*quantity);
-  for (const DerivedGroup& group : derived)
-    for (const DerivedQuantity& quantity : group.quantities)
-      if (quantity.name == name && std::isfinite(quantity.value.value)) visit(quantity.value);
+std::string per_si(const std::string& unit) {
+  return TypedUnit{unit, PerAcceleration::kSi}.name();
 }
 
 }  // namespace
@@ -185,13 +162,15 @@ SensitivityUnit sensitivity_unit(const std::string& name, const std::string& res
   const auto refuse = [&](const std::string& why) {
     throw std::invalid_argument("unit \"" + name + "\": " + why);
   };
-  const auto slash = name.find('/');
-  if (slash == std::string::npos || slash == 0) refuse("required: OUTPUT/g or OUTPUT/(m/s2)");
-  const std::string denominator = name.substr(slash + 1);
-  if (denominator != "g" && denominator != "(m/s2)") refuse("required: per g or per (m/s2)");
-  const auto ratio = unit_ratio(response_unit, name.substr(0, slash));
+  const TypedUnit unit = typed_unit(name);
+  if (unit.per == PerAcceleration::kUnnamed)
+    refuse("g may be standard or local gravity; required: \"" + readings_of(unit).front().name() +
+           "\", which is per standard gravity, 9.80665 m/s2");
+  if (unit.per != PerAcceleration::kSi && unit.per != PerAcceleration::kStandard)
+    refuse("required: OUTPUT/g_n (standard gravity) or OUTPUT/(m/s2)");
+  const auto ratio = unit_ratio(response_unit, unit.output);
   if (!ratio) refuse("the output is in " + response_unit + ", which cannot be given in it");
-  return {name, *ratio, denominator == "g"};
+  return {name, *ratio, unit.per == PerAcceleration::kStandard};
 }
 
 std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units) {
@@ -205,10 +184,10 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   const Real one_per_gravity = Real(1.0) / in.g_loc;
 
   std::vector<DerivedGroup> groups;
-  groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units",
-                                    per(unit, "(m/s2)"), one_per_gravity));
-  groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units",
-                                  per(unit, "(m/s2)"), kAccelerometers,
+  groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units", per_si(unit),
+                                    one_per_gravity));
+  groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units", per_si(unit),
+                                  kAccelerometers,
                                   [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
   groups.push_back(deriver.triple(
       "transverse_sensitivity",
@@ -236,9 +215,9 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
       [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
   for (const SensitivityUnit& wanted : units) {
     const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
-    const std::string words = wanted.per_standard_gravity
-                                  ? "Sensitivity in " + wanted.name + ", g = 9.80665 m/s2 (standard gravity)"
-                                  : "Sensitivity in " + wanted.name;
+    const std::string words = wanted.per_standard_gravity ? "Sensitivity in " + wanted.name +
+                                                                ", g_n = 9.80665 m/s2 (standard gravity)"
+                                                          : "Sensitivity in " + wanted.name;
     DerivedGroup group =
         deriver.triple("intrinsic_sensitivity", words, wanted.name, kAccelerometers,
                        [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity * factor); });
@@ -246,6 +225,11 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
     groups.push_back(std::move(group));
   }
   return groups;
+}
+
+DerivedQuantity derived_quantity(const CalibrationResult& result, const std::string& name,
+                                 const std::string& unit, const ValueWithGradient& value) {
+  return Deriver(result).quantity(name, unit, Real(value.value, value.gradient));
 }
 
 double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b) {
@@ -264,23 +248,6 @@ std::vector<std::string> names_of_quantities() {
   for (const std::string of_pair : {"intrinsic_angle_", "non_orthogonality_"})
     for (const char* pair : kPairs) names.push_back(of_pair + pair);
   return names;
-}
-
-std::optional<Quantity> find_quantity(const CalibrationResult& result,
-                                      const std::vector<DerivedGroup>& derived, const std::string& name,
-                                      const std::string& unit) {
-  std::optional<Quantity> found;
-  visit_all(result, derived, name, [&](const Quantity& quantity) {
-    if (!found && quantity.unit == unit) found = quantity;
-  });
-  return found;
-}
-
-std::vector<std::string> units_of(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
-                                  const std::string& name) {
-  std::vector<std::string> units;
-  visit_all(result, derived, name, [&](const Quantity& quantity) { units.push_back(quantity.unit); });
-  return units;
 }
 
 }  // namespace abcal

@@ -32,17 +32,17 @@ struct DerivedGroup {
   std::vector<DerivedQuantity> quantities;
 };
 
-/// A unit of sensitivity "OUTPUT/g" or "OUTPUT/(m/s2)" that a customer asks for.
+/// A unit of sensitivity "OUTPUT/g_n" or "OUTPUT/(m/s2)" that a customer asks for.
 struct SensitivityUnit {
   std::string name;
   double output_factor = 1.0;         ///< Number of these output units in one response unit.
-  bool per_standard_gravity = false;  ///< Per g = 9.80665 m/s2; else per m/s2.
+  bool per_standard_gravity = false;  ///< Per g_n = 9.80665 m/s2; else per m/s2.
 };
 
 /// @throws std::invalid_argument  if the unit cannot be made from the response unit
 SensitivityUnit sensitivity_unit(const std::string& name, const std::string& response_unit);
 
-/// Everything that can be derived from a result. Quantities per m/s2 and per g include the uncertainty of
+/// Everything that can be derived from a result. Quantities per m/s2 and per g_n include the uncertainty of
 /// g_loc.
 ///
 ///   sensitivity               s_jk / g_loc, R/(m/s2)
@@ -56,23 +56,24 @@ SensitivityUnit sensitivity_unit(const std::string& name, const std::string& res
 ///   non_orthogonality         phi_jk - 90 degrees, mrad
 ///   bias                      O_j / s_j as an acceleration, mg with g = 9.80665 m/s2
 ///
-/// A group of sensitivities for each of `units` follows, named after the unit ("sensitivity [mV/g]").
+/// A group of sensitivities for each of `units` follows, named after the unit ("sensitivity [mV/g_n]").
 /// @throws std::invalid_argument  for a result without matrix, covariance or local gravity
 std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units);
+
+/// A value and its derivatives (columns as of DerivedQuantity::gradient).
+struct ValueWithGradient {
+  double value = 0.0;
+  Eigen::Matrix<double, 13, 1> gradient = Eigen::Matrix<double, 13, 1>::Zero();
+};
+
+/// A quantity that was computed elsewhere, with uncertainty and degrees of freedom as those of derive().
+DerivedQuantity derived_quantity(const CalibrationResult& result, const std::string& name,
+                                 const std::string& unit, const ValueWithGradient& value);
 
 /// Covariance of two derived quantities of one result, local gravity included.
 double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b);
 
 /// Names of quantities that limits may be set on: those of the result itself and the derived ones.
 std::vector<std::string> names_of_quantities();
-
-/// A quantity of the result or derived from it, by its name and in the requested unit. Absent: not in this
-/// unit, or not determined; `units_of` lists the available units.
-std::optional<Quantity> find_quantity(const CalibrationResult& result,
-                                      const std::vector<DerivedGroup>& derived, const std::string& name,
-                                      const std::string& unit);
-/// The units in which a quantity is available.
-std::vector<std::string> units_of(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
-                                  const std::string& name);
 
 }  // namespace abcal

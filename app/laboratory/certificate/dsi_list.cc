@@ -74,19 +74,13 @@ void add_covariance(XmlElement& parent, const ValueList& list, const Representat
   region.add("si:distributionXMLList", "normal");
 }
 
-std::optional<double> cmc_of(const ValueList& list, Eigen::Index i) {
-  return list.cmc.empty() ? std::nullopt : list.cmc[static_cast<std::size_t>(i)];
-}
-
 void add_real_list(XmlElement& parent, const ValueList& list, const Representation& as) {
   const Eigen::Index n = list.values.size();
   std::vector<std::string> values, expanded, places, factors;
   for (Eigen::Index i = 0; i < n; ++i) {
     const std::string& label = as.labels[static_cast<std::size_t>(i)];
     const double own = list.coverage_factor[i] * list.standard_uncertainty[i];
-    const RoundedValue rounded =
-        rounded_value(list.values[i] * as.scale,
-                      certified_uncertainty(own, cmc_of(list, i)).expanded * std::abs(as.scale), label);
+    const RoundedValue rounded = rounded_value(list.values[i] * as.scale, own * std::abs(as.scale), label);
     values.push_back(list.all_digits ? dsi_number(list.values[i] * as.scale, label) : rounded.value);
     expanded.push_back(rounded.expanded);
     if (rounded.place && !list.all_digits) places.push_back(fmt::format("{}", *rounded.place));
@@ -191,9 +185,10 @@ RoundedValue rounded_value(double value, double expanded, std::string_view what)
   return rounded;
 }
 
-CertifiedUncertainty certified_uncertainty(double expanded, const std::optional<double>& cmc) {
-  if (!cmc || !(*cmc > expanded)) return {expanded, false};
-  return {*cmc, true};
+RoundedValue printed_in_si(const Quantity& quantity, std::string_view what) {
+  const double scale = unit_in_dsi(quantity.unit).factor;
+  const double expanded = coverage_factor(quantity) * quantity.standard_uncertainty;
+  return rounded_value(quantity.value * scale, expanded * std::abs(scale), what);
 }
 
 double ellipsoid_factor(int dimensions, double probability) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/scope.h"
 #include "protocol/estimators/shared/calibration_result.h"
 
 namespace abcal {
@@ -32,15 +33,9 @@ struct RoundedValue {
 /// @throws NumberNotFinite  naming `what`; std::invalid_argument  for a negative uncertainty
 RoundedValue rounded_value(double value, double expanded, std::string_view what);
 
-/// A stated expanded uncertainty.
-struct CertifiedUncertainty {
-  double expanded = 0.0;
-  bool raised = false;  ///< Raised to the smallest of the laboratory's scope.
-};
-
-/// The expanded uncertainty that may be stated: never below the calibration and measurement capability (CMC)
-/// of the laboratory's scope (ILAC-P14), which is in the same unit. @param cmc  absent: the scope has none
-CertifiedUncertainty certified_uncertainty(double expanded, const std::optional<double>& cmc);
+/// Value and U of a quantity as a certificate prints them in its SI unit (of D-SI).
+/// @throws as rounded_value()
+RoundedValue printed_in_si(const Quantity& quantity, std::string_view what);
 
 /// Several values of one unit with their uncertainty, as D-SI lists them (si:realListXMLList). Where D-SI
 /// does not know the unit, an si:hybrid gives them in SI units first and then in their own unit, which
@@ -53,7 +48,7 @@ struct ValueList {
   Eigen::VectorXd degrees_of_freedom;
   std::string unit;                           ///< Unit of a result: "V/g_loc".
   std::optional<Eigen::MatrixXd> covariance;  ///< In the square of `unit`.
-  std::vector<std::optional<double>> cmc;     ///< In `unit`; empty: the scope has none.
+  std::vector<ScopeMark> marks;               ///< One for each value; empty: no scope.
   /// Values that belong together, as coefficients of a polynomial do, have more digits than U: rounded alone,
   /// their sum would be off by more than its uncertainty.
   bool all_digits = false;

@@ -73,7 +73,7 @@ IssuedCertificate keep_certificate(PreparedCertificate prepared, std::string sig
 IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
                                     const std::optional<SigningKey>& key, const std::string& utc) {
   PreparedCertificate prepared = prepare_certificate(certificate, schema);
-  std::string signed_xml = key ? sign_xml(prepared.issued.xml, *key) : std::string();
+  std::string signed_xml = key ? sign_xml(prepared.issued.xml, *key, utc) : std::string();
   return keep_certificate(std::move(prepared), std::move(signed_xml), schema, utc);
 }
 

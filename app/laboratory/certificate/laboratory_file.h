@@ -83,9 +83,10 @@ struct LaboratoryFile {
   std::vector<Equipment> equipment;
   std::optional<DecisionRule> decision;
   std::vector<SpecificationLimit> limits;
-  std::string language = "en";     ///< Language of the certificate (ISO 639-1).
-  std::vector<ScopeLimit> scope;   ///< No smaller uncertainty is stated.
-  std::vector<std::string> units;  ///< Units of sensitivity in addition to those of the certificate: "mV/g".
+  std::string language = "en";    ///< Language of the certificate (ISO 639-1).
+  std::vector<ScopeLimit> scope;  ///< No smaller uncertainty is stated.
+  std::vector<std::string>
+      units;  ///< Units of sensitivity in addition to those of the certificate: "mV/g_n".
 };
 
 /// Reports all problems of a laboratory file that cannot be used, with their lines.

@@ -38,7 +38,7 @@ std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool
   std::vector<PageValue> all;
   for (std::size_t i = 0; i < values.size(); ++i) {
     PageValue value;
-    value.label = without_unit(one_of(labels, i));
+    value.xml_label = value.label = without_unit(one_of(labels, i));
     if (const std::size_t star = value.label.find('*'); star != std::string::npos)
       value.label.replace(star, 1, "·");
     value.value = typeset_number(values[i], from.words);
@@ -58,6 +58,16 @@ std::string quantity_words(const PageSource& from, std::string name) {
   name.resize(last);
   std::replace(name.begin(), name.end(), '_', ' ');
   return from.words.known(name) + " " + axis;
+}
+
+std::string symbol_or_words(const PageSource& from, const std::string& name) {
+  const std::string axis = name.substr(name.rfind('_') + 1);
+  for (const auto& [group, symbol] : {std::pair{"sensitivity_", "s_"},
+                                      {"intrinsic_sensitivity_", "s_"},
+                                      {"intrinsic_angle_", "phi_"},
+                                      {"offset_", "O_"}})
+    if (name == group + axis) return symbol + axis;
+  return quantity_words(from, name);
 }
 
 std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result) {
@@ -84,13 +94,23 @@ std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from,
   return degrees;
 }
 
+std::string scope_star(const PageSource& from, xmlNode* quantity, const std::string& label) {
+  for (const std::string& labels : from.xml.texts(
+           "dcc:measurementMetaData/dcc:metaData[@refType='abc_outsideScope']/dcc:data/dcc:text/dcc:content",
+           quantity))
+    for (const std::string& outside : xml_words(labels))
+      if (label.empty() || outside == label) return " *";
+  return "";
+}
+
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words) {
   table.rows.push_back({from.content("dcc:name", result)});
   for (xmlNode* quantity : quantities_of(from, result)) {
     const std::map<std::string, std::string> degrees = degrees_of_freedom_of(from, quantity);
     for (const PageValue& value : values_of(from, quantity, own)) {
+      const std::string star = scope_star(from, quantity, value.xml_label);
       const auto nu = degrees.find("nu(" + value.label + ")");
-      table.rows.push_back({in_words ? quantity_words(from, value.label) : value.label, value.value,
+      table.rows.push_back({(in_words ? quantity_words(from, value.label) : value.label) + star, value.value,
                             value.expanded, value.factor, nu == degrees.end() ? "∞" : nu->second,
                             value.unit});
     }
@@ -102,12 +122,12 @@ namespace {
 /// Results that no page has yet, but for those with a form of their own.
 Section remaining_results(const PageSource& from, xmlNode* measurement,
                           const std::vector<std::string>& shown) {
-  static const std::array<std::string_view, 9> kElsewhere{
+  static const std::array<std::string_view, 10> kElsewhere{
       "abc_sensitivityMatrix", "abc_intrinsicSensitivities",
       "abc_intrinsicAngles",   "abc_offsets",
       "abc_conformity",        "abc_shift",
       "abc_correlations",      "abc_budget",
-      "abc_noResult"};
+      "abc_noResult",          "abc_customerEquation"};
   DocumentTable table = value_table(from);
   table.may_break = true;
   for (xmlNode* result : from.xml.nodes("dcc:results/dcc:result", measurement)) {
@@ -132,7 +152,7 @@ Section raised_section(const PageSource& from, xmlNode* measurement) {
        from.xml.nodes("dcc:results//dcc:metaData[@refType='abc_raisedToScope']", measurement))
     list.facts.emplace_back(
         from.content("../../dcc:name", raised),
-        from.content("dcc:name", raised) + ". " + from.content("dcc:data/dcc:text", raised));
+        from.content("dcc:name", raised) + ": " + from.content("dcc:data/dcc:text", raised));
   Section section{from.say("Uncertainties raised to the laboratory's scope"), {}};
   if (!list.facts.empty()) section.blocks.emplace_back(std::move(list));
   return section;
@@ -174,11 +194,9 @@ Section method_section(const PageSource& from, xmlNode* measurement) {
 std::map<std::string, std::string> contributions_of(const PageSource& from, xmlNode* line) {
   std::map<std::string, std::string> all;
   for (xmlNode* quantity : from.xml.nodes("dcc:quantity[@refType='abc_contribution']", line)) {
-    const std::string at = is_hybrid(from, quantity) ? "si:hybrid/*[last()]" : "si:realListXMLList";
-    const auto labels = from.xml.words(at + "/si:labelXMLList", quantity),
-               values = from.xml.words(at + "/si:valueXMLList", quantity);
-    for (std::size_t i = 0; i < labels.size() && i < values.size(); ++i)
-      all.emplace(without_unit(labels[i]), values[i]);
+    const auto labels = from.xml.words("si:realListXMLList/si:labelXMLList", quantity),
+               values = from.xml.words("si:realListXMLList/si:valueXMLList", quantity);
+    for (std::size_t i = 0; i < labels.size() && i < values.size(); ++i) all.emplace(labels[i], values[i]);
   }
   return all;
 }
@@ -199,6 +217,40 @@ std::vector<std::string> worst_outputs(const std::vector<std::map<std::string, s
   return labels;
 }
 
+/// Degrees of freedom of a line's contributions to these outputs: one number, or the least and the most.
+std::string degrees_of(const PageSource& from, xmlNode* line, const std::vector<std::string>& outputs) {
+  const std::map<std::string, std::string> known = degrees_of_freedom_of(from, line);
+  std::string least, most;
+  for (const std::string& output : outputs) {
+    const auto found = known.find("nu(" + output + ")");
+    if (found == known.end()) continue;
+    const double value = number_in_xml(found->second);
+    if (least.empty() || value < number_in_xml(least)) least = found->second;
+    if (most.empty() || value > number_in_xml(most)) most = found->second;
+  }
+  if (least.empty()) return "∞";
+  return least == most ? least : from.words("{} to {}", least, most).text;
+}
+
+/// The sources of a budget, each with its inputs.
+FactList sources_of(const PageSource& from, const std::vector<xmlNode*>& lines) {
+  FactList list;
+  for (xmlNode* line : lines) {
+    const std::string source =
+        from.content("dcc:measurementMetaData/dcc:metaData[@refType='abc_source']/dcc:data/dcc:text", line);
+    if (source.empty()) continue;  // A certificate of an earlier version.
+    const std::string name = from.say("Source") + ": " + source, input = from.content("dcc:name", line);
+    const auto known = std::find_if(list.facts.begin(), list.facts.end(),
+                                    [&](const auto& fact) { return fact.first == name; });
+    if (known == list.facts.end()) {
+      list.facts.emplace_back(name, input);
+    } else {
+      known->second += "; " + input;
+    }
+  }
+  return list;
+}
+
 Section budget_section(const PageSource& from, xmlNode* measurement) {
   Section section{from.say("Uncertainty budget"), {}};
   const auto results = from.xml.nodes("dcc:results/dcc:result[@refType='abc_budget']", measurement);
@@ -211,6 +263,7 @@ Section budget_section(const PageSource& from, xmlNode* measurement) {
   table.may_break = true;
   table.columns = {{from.say("Input")},
                    {from.say("Kind"), CellKind::kUnit},
+                   {"ν", CellKind::kNumber},
                    {"u", CellKind::kNumber},
                    {from.say("Unit"), CellKind::kUnit}};
   for (const std::string& output : outputs) table.columns.push_back({output, CellKind::kNumber});
@@ -218,7 +271,8 @@ Section budget_section(const PageSource& from, xmlNode* measurement) {
     const auto inputs = from.xml.nodes("dcc:quantity[@refType='abc_inputUncertainty']", lines[i]);
     const PageValue input = inputs.empty() ? PageValue{} : values_of(from, inputs.front()).front();
     std::vector<std::string> row{from.content("dcc:name", lines[i]),
-                                 from.content("dcc:description", lines[i]), input.value, input.unit};
+                                 from.content("dcc:description", lines[i]),
+                                 degrees_of(from, lines[i], outputs), input.value, input.unit};
     for (const std::string& output : outputs) {
       const auto found = contributions[i].find(output);
       row.push_back(found == contributions[i].end() ? "" : typeset_number(found->second, from.words));
@@ -230,6 +284,8 @@ Section budget_section(const PageSource& from, xmlNode* measurement) {
                 from.say("Shown are the outputs with the largest uncertainty of each kind; the "
                          "XML has all.")});
   section.blocks.emplace_back(std::move(table));
+  if (FactList sources = sources_of(from, lines); !sources.facts.empty())
+    section.blocks.emplace_back(std::move(sources));
   return section;
 }
 
@@ -281,7 +337,7 @@ Section further_statements(const PageSource& from) {
         "abc_draft", "abc_training",   "abc_simulated",  "abc_replayed",    "abc_traceability",
         "abc_unit",  "abc_notCovered", "abc_outputUnit", "abc_decisionRule"};
     if (std::find(kHere.begin(), kHere.end(), ref_type) == kHere.end()) continue;
-    std::string text = from.content("dcc:declaration", statement);
+    std::string text = from.sentences("dcc:declaration", statement);
     for (const std::string& line : from.xml.texts("dcc:norm | dcc:reference", statement))
       text += " " + line + ".";
     list.facts.emplace_back(from.content("dcc:name", statement), text);
@@ -292,14 +348,14 @@ Section further_statements(const PageSource& from) {
 Section record_section(const PageSource& from, xmlNode* measurement) {
   FactList list;
   for (xmlNode* metadata : from.xml.nodes("dcc:measurementMetaData/dcc:metaData", measurement)) {
-    const std::string text = from.content("dcc:data/dcc:text", metadata);
+    const std::string text = from.sentences("dcc:data/dcc:text", metadata);
     list.facts.emplace_back(from.content("dcc:name", metadata),
-                            text.empty() ? from.content("dcc:description", metadata) : text);
+                            text.empty() ? from.sentences("dcc:description", metadata) : text);
   }
   for (xmlNode* software : from.xml.nodes("dcc:usedSoftware/dcc:software", measurement))
     list.facts.emplace_back(from.content("dcc:name", software), from.content("dcc:description", software));
-  for (xmlNode* quantity :
-       from.xml.nodes("dcc:administrativeData/dcc:items/dcc:item/dcc:itemQuantities/dcc:itemQuantity"))
+  for (xmlNode* quantity : from.xml.nodes("dcc:administrativeData/dcc:items/dcc:item/dcc:itemQuantities/"
+                                          "dcc:itemQuantity[@refType='abc_setting']"))
     list.facts.emplace_back(from.content("dcc:name", quantity), from.content("dcc:noQuantity", quantity));
   return {from.say("Record"), {list}};
 }

@@ -87,7 +87,8 @@ std::string typeset_unit(std::string_view d_si) {
     shown += symbol->second;
     joined = is_prefix(word);
   }
-  replace_all(shown, "m s⁻²", "m/s²");
+  if (shown == "m s⁻²") shown = "m/s²";
+  replace_all(shown, "m/s2", "m/s²");
   if (!per_acceleration) return shown;
   return (shown.empty() ? "1" : shown) + "/(m/s²)";
 }

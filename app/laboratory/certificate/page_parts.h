@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "app/ground/document/document.h"
+#include "app/ground/document/number_text.h"
 #include "app/ground/xml/xml_query.h"
 #include "app/laboratory/certificate/words.h"
 
@@ -20,6 +21,10 @@ struct PageSource {
   std::string content(const std::string& path, xmlNode* from = nullptr) const {
     return xml.text(path + "/dcc:content", from);
   }
+  /// The same where they are sentences, with their numbers typeset.
+  std::string sentences(const std::string& path, xmlNode* from = nullptr) const {
+    return typeset_numbers(content(path, from));
+  }
   /// "2026-03-01 12:00:00", both if they differ.
   std::string say(std::string_view english) const { return words(english).text; }
 };
@@ -27,6 +32,7 @@ struct PageSource {
 /// One value of a list or alone, as the XML has it, typeset.
 struct PageValue {
   std::string label, value, expanded, factor, unit;
+  std::string xml_label;  ///< The label as the XML has it, without a unit.
 };
 
 /// The values below a dcc:quantity. @param own  those of a hybrid in the non-SI unit; else in SI units
@@ -41,12 +47,19 @@ std::string without_unit(const std::string& label);
 /// "transverse_sensitivity_u", as limits name it, in words.
 std::string quantity_words(const PageSource& from, std::string name);
 
+/// The symbol that the first page has for a quantity, "s_u" for "intrinsic_sensitivity_u"; of others its
+/// words.
+std::string symbol_or_words(const PageSource& from, const std::string& name);
+
 /// Quantities of a result, wherever its lists have them.
 std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result);
 
 /// A table of quantities with U and k; every result is a group of rows.
 DocumentTable value_table(const PageSource& from);
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words);
+
+/// " *" for a quantity, or one label of a list, that is outside the laboratory's scope; else nothing.
+std::string scope_star(const PageSource& from, xmlNode* quantity, const std::string& label = "");
 
 /// "nu(s_u)" and its degrees of freedom, of those that are few.
 std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from, xmlNode* quantity);

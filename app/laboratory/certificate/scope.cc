@@ -2,9 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <string_view>
-#include <utility>
 
+#include "app/ground/units/typed_unit.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/response_unit.h"
 
@@ -38,29 +37,6 @@ std::optional<Scoped> scoped(const CalibrationResult& result, const std::string&
                   1e3 * result.g_loc.value / (kStandardGravity * per_g_loc)};
   }
   return std::nullopt;
-}
-
-/// The unit of the output in a unit of sensitivity, and per which acceleration (m/s2) it is; 0: per none.
-std::pair<std::string_view, double> output_and_acceleration(std::string_view unit, double g_loc_mps2) {
-  for (const auto& [per, acceleration] :
-       {std::pair{std::string_view("/g_loc"), g_loc_mps2}, {"/(m/s2)", 1.0}, {"/g", kStandardGravity}}) {
-    if (!unit.ends_with(per)) continue;
-    unit.remove_suffix(per.size());
-    if (unit.starts_with('(') && unit.ends_with(')')) unit = unit.substr(1, unit.size() - 2);
-    return {unit, acceleration};
-  }
-  return {unit, 0.0};
-}
-
-/// Number of units `to` in one unit `from`; absent: of different kinds.
-std::optional<double> ratio_of_units(const std::string& from, const std::string& to, double g_loc_mps2) {
-  if (from == to) return 1.0;
-  const auto [output, per] = output_and_acceleration(from, g_loc_mps2);
-  const auto [other_output, other_per] = output_and_acceleration(to, g_loc_mps2);
-  if ((per > 0.0) != (other_per > 0.0)) return std::nullopt;
-  const auto outputs = unit_ratio(output, other_output);
-  if (!outputs || !(per > 0.0)) return outputs;
-  return *outputs * other_per / per;
 }
 
 }  // namespace

@@ -20,13 +20,13 @@ void write_for_helper(const std::filesystem::path& path, const std::string& byte
 
 }  // namespace
 
-std::string sign_xml(const std::string& xml, const SigningKey& with) {
+std::string sign_xml(const std::string& xml, const SigningKey& with, const std::string& utc) {
   const TemporaryFolder folder;  // For this user only.
   const std::filesystem::path unsigned_file = folder / "unsigned.xml", signed_file = folder / "signed.xml";
   write_for_helper(unsigned_file, xml);
   run_helper("abcal-sign", "certificates are signed by",
-             {"sign", "--", unsigned_file.string(), with.key.string(), with.certificate.string(),
-              signed_file.string()});
+             {"sign", "--utc", utc, "--", unsigned_file.string(), with.key.string(),
+              with.certificate.string(), signed_file.string()});
   std::ostringstream signed_xml;
   signed_xml << std::ifstream(signed_file, std::ios::binary).rdbuf();
   return signed_xml.str();

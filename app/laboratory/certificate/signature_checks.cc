@@ -29,18 +29,73 @@ std::string certificate_in(const std::string& xml) {
   return pem + "-----END CERTIFICATE-----\n";
 }
 
-/// Whether exactly one signature exists and covers the whole document except itself. A signature of a part
-/// would allow the rest to be exchanged.
-bool signs_all(const std::string& signed_xml) {
+const std::string kSigned = "ds:Signature/ds:SignedInfo/ds:Reference";
+const std::string kProperties = "ds:Signature/ds:Object/xades:QualifyingProperties/xades:SignedProperties";
+const std::string kOfSignature = kProperties + "/xades:SignedSignatureProperties/";
+constexpr const char* kEnveloped = "http://www.w3.org/2000/09/xmldsig#enveloped-signature";
+constexpr const char* kExclusive = "http://www.w3.org/2001/10/xml-exc-c14n#";
+
+/// Whether a reference points to this with these transforms, by SHA-256.
+bool refers(const XmlQuery& query, const std::string& reference, const std::string& to,
+            const std::vector<std::string>& transforms) {
+  return query.texts(reference + "/@URI") == std::vector<std::string>{to} &&
+         query.texts(reference + "/ds:Transforms/ds:Transform/@Algorithm") == transforms &&
+         query.text(reference + "/ds:DigestMethod/@Algorithm") == kSha256Algorithm;
+}
+
+/// Whether the properties of XAdES-BES are those that the signature signs, and name this certificate. An
+/// element that is there twice could be signed in one place and read in another.
+bool names_certificate(const XmlQuery& query, const std::string& certificate_pem) {
+  const std::string id = query.text(kProperties + "/@Id"),
+                    cert = kOfSignature + "xades:SigningCertificateV2/xades:Cert";
+  return query.nodes("//xades:QualifyingProperties").size() == 1 &&
+         query.nodes("//xades:SignedProperties").size() == 1 &&
+         query.nodes("//ds:X509Certificate").size() == 1 && !id.empty() &&
+         id.find('\'') == std::string::npos && query.nodes("//@Id[. = '" + id + "']").size() == 1 &&
+         query.text(kSigned + "[2]/@Type") == kSignedPropertiesType &&
+         refers(query, kSigned + "[2]", "#" + id, {kExclusive}) &&
+         query.text("ds:Signature/ds:Object/xades:QualifyingProperties/@Target") ==
+             "#" + query.text("ds:Signature/@Id") &&
+         query.nodes(cert).size() == 1 &&
+         query.text(cert + "/xades:CertDigest/ds:DigestMethod/@Algorithm") == kSha256Algorithm &&
+         query.text(cert + "/xades:CertDigest/ds:DigestValue") == digest_of_certificate(certificate_pem);
+}
+
+/// The form of a signature that verifies.
+struct SignatureForm {
+  bool signs_all = false;  ///< It covers the whole document except itself: the rest cannot be exchanged.
+  bool is_xades = false;   ///< It is to have the properties of XAdES-BES; earlier versions signed without.
+  bool names_certificate = false;  ///< These are signed and name the certificate of the signature.
+  std::string signing_time;        ///< As the signer states it.
+
+  /// Why it is not accepted; empty: it is.
+  std::string why_not() const {
+    if (!signs_all)
+      return "it is of another kind; required: of the whole certificate, enveloped, SHA-256, exclusive "
+             "canonicalisation";
+    if (is_xades && !names_certificate)
+      return "its certificate is not the one that was signed (XAdES, SigningCertificateV2): it was exchanged";
+    return {};
+  }
+  std::string words() const {
+    return is_xades ? fmt::format("XAdES-BES, signed on {} by the signer's clock", signing_time)
+                    : "XML-DSig without XAdES";
+  }
+};
+
+SignatureForm form_of(const std::string& signed_xml, const std::string& certificate_pem) {
   const XmlDocument document = parse_xml(signed_xml, "certificate");
   const XmlQuery query(document.get());
-  const std::string reference = "ds:Signature/ds:SignedInfo/ds:Reference";
-  const std::vector<std::string> transforms{"http://www.w3.org/2000/09/xmldsig#enveloped-signature",
-                                            "http://www.w3.org/2001/10/xml-exc-c14n#"};
-  return query.nodes("//ds:Signature").size() == 1 && query.nodes("//ds:Reference").size() == 1 &&
-         query.texts(reference + "/@URI") == std::vector<std::string>{""} &&
-         query.texts(reference + "/ds:Transforms/ds:Transform/@Algorithm") == transforms &&
-         query.text(reference + "/ds:DigestMethod/@Algorithm") == "http://www.w3.org/2001/04/xmlenc#sha256";
+  SignatureForm form;
+  const std::size_t references = query.nodes("//ds:Reference").size();
+  form.is_xades = references > 1 || query.any("//xades:*");
+  form.signs_all = query.nodes("//ds:Signature").size() == 1 && references == (form.is_xades ? 2U : 1U) &&
+                   query.nodes(kSigned).size() == references &&
+                   refers(query, kSigned + "[1]", "", {kEnveloped, kExclusive});
+  if (!form.is_xades) return form;
+  form.names_certificate = names_certificate(query, certificate_pem);
+  form.signing_time = query.text(kOfSignature + "xades:SigningTime");
+  return form;
 }
 
 /// Identifies the owner of a signature's key; bad if the approver's keys are known and it is none of them.
@@ -70,9 +125,12 @@ std::vector<IntegrityCheck> check_certificate_signatures(const std::vector<Issue
     const std::string what = "signature of certificate " + one.number;
     const std::string pem = certificate_in(one.xml);
     if (pem.empty()) continue;
-    const std::string why_not = why_signature_fails(one.xml, pem);
+    const SignatureForm form = form_of(one.xml, pem);
+    std::string why_not = why_signature_fails(one.xml, pem);
+    if (why_not.empty()) why_not = form.why_not();
     checks.push_back(why_not.empty() ? judged(what, pem, one.approved_by, keys)
                                      : IntegrityCheck{what, false, why_not});
+    if (why_not.empty()) checks.back().found += "; " + form.words();
   }
   return checks;
 }
@@ -94,10 +152,13 @@ std::string certificate_of_signature(const std::string& xml, const std::string& 
     throw std::invalid_argument(
         "the file has no signature with an X.509 certificate; required: that of the approver (abcal lab "
         "sign)");
-  if (!signs_all(signed_xml))
+  const SignatureForm form = form_of(signed_xml, pem);
+  if (!form.signs_all)
     throw std::invalid_argument(
         "the signature is of another kind; required: of the whole certificate, enveloped, SHA-256, exclusive "
         "canonicalisation (abcal lab sign)");
+  if (const std::string why_not = form.why_not(); !why_not.empty())
+    throw std::invalid_argument("the signature: " + why_not);
   if (const std::string why_not = why_signature_fails(signed_xml, pem); !why_not.empty())
     throw std::invalid_argument("the signature: " + why_not);
   return pem;

@@ -103,6 +103,17 @@ CertificateSubject subject_of(const std::string& certificate_pem) {
           utc_of(X509_get0_notAfter(certificate.get()))};
 }
 
+std::string digest_of_certificate(const std::string& certificate_pem) {
+  const X509Certificate certificate = read_certificate_pem(certificate_pem);
+  std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
+  unsigned int size = 0;
+  require_done(X509_digest(certificate.get(), EVP_sha256(), digest.data(), &size) == 1,
+               "digest of the certificate");
+  std::array<unsigned char, 2 * EVP_MAX_MD_SIZE> text{};
+  const int length = EVP_EncodeBlock(text.data(), digest.data(), static_cast<int>(size));
+  return {text.begin(), text.begin() + length};
+}
+
 std::string sign_detached(std::string_view bytes, const SigningIdentity& by) {
   const X509Certificate certificate = read_certificate_pem(by.certificate_pem);
   const OpensslBio key_bio = readable(by.private_pem), content = readable(bytes), out = writable();

@@ -27,6 +27,10 @@ struct CertificateSubject {
 /// @throws std::invalid_argument if it is no X.509 certificate in PEM
 CertificateSubject subject_of(const std::string& certificate_pem);
 
+/// SHA-256 of the DER form of an X.509 certificate (PEM), in base64: how XAdES names it.
+/// @throws std::invalid_argument if it is no X.509 certificate in PEM
+std::string digest_of_certificate(const std::string& certificate_pem);
+
 /// The detached signature of any bytes (CMS, DER; RFC 5652), with the certificate inside. Anyone verifies it:
 /// openssl cms -verify -binary -inform DER -in FILE.p7s -content FILE -CAfile CERT.pem -out /dev/null
 /// @throws std::invalid_argument if key or certificate is invalid, or they do not belong together

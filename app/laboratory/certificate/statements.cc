@@ -7,6 +7,7 @@
 
 #include "app/ground/units/dsi_unit.h"
 #include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/traceability.h"
 
 namespace abcal {
@@ -88,15 +89,16 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
   for (const CertifiedRun* run :
        {certificate.as_found ? &*certificate.as_found : nullptr, &certificate.run}) {
     if (run == nullptr) continue;
-    for (const DerivedGroup& group : run->derived)
+    for (const DerivedGroup& group : run->stated.derived)
       for (const DerivedQuantity& quantity : group.quantities) units.insert(quantity.value.unit);
-    for (const Decision& decision : run->decisions) units.insert(decision.limit.unit);
+    if (run->has_numbers()) units.insert(correction_unit(run->data.record.response_unit));
+    for (const Decision& decision : run->decisions) units.insert(decision.stated.unit);
   }
   if (certificate.series && certificate.series->result)
     for (const TemperatureCoefficient& one : certificate.series->result->coefficients) units.insert(one.unit);
   std::set<std::string> said;
   for (const std::string& unit : units) {
-    const UnitInDsi in = unit_in_dsi(unit);
+    const UnitInDsi in = unit_in_dsi(unit, certificate.run.data.result().g_loc.value);
     if (in.own && said.insert(in.own->text()).second && !in.definition.empty()) {
       Statement statement = plain("abc_unit", words("Unit {}", unit),
                                   words("Definition: {}", words.composed(in.definition).text));
@@ -174,6 +176,21 @@ void add_items_together(std::vector<Statement>& statements, const Certificate& c
                   data.item, items.size())));
 }
 
+/// Says which certificate an amendment replaces, why, and every statement that it changes.
+Statement amendment(const Words& words, const Replacement& replaced) {
+  Wording text = words("Replaces certificate {}. Reason: {}.", replaced.number, replaced.reason);
+  text.text += " " + (replaced.kind == AmendmentKind::kAdministrative
+                          ? words("Administrative amendment: results and item are unchanged.")
+                          : words("Technical amendment."))
+                         .text;
+  text.text += " " + (replaced.changed.empty() ? words("No statement was changed.")
+                                               : words("Changed statements: {}.", replaced.changed.size()))
+                         .text;
+  Statement statement = plain("abc_amendment", words("Amendment"), text);
+  for (const ChangedStatement& one : replaced.changed) statement.references.push_back(one.words());
+  return statement;
+}
+
 /// Warnings that must be seen first: draft, training, simulation, recording.
 void add_warnings(std::vector<Statement>& statements, const Certificate& certificate) {
   const Words& words = certificate.words;
@@ -217,6 +234,8 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
       plain("abc_reproduction", words("Reproduction"),
             words("This certificate may not be reproduced except in full, unless the laboratory "
                   "agrees in writing.")));
+  statements.push_back(identity_statement(words, certificate.run.data));
+  if (certificate.run.has_numbers()) statements.push_back(measurand_statement(words));
   statements.push_back(traceability(certificate));
   add_items_together(statements, certificate);
   add_uncertainty(statements, certificate);
@@ -224,9 +243,7 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
   add_optional(statements, certificate);
   if (certificate.issue && certificate.issue->replaces) {
     const Replacement& replaced = *certificate.issue->replaces;
-    statements.push_back(
-        plain("abc_amendment", words("Amendment"),
-              words("Replaces certificate {}. Reason: {}", replaced.number, replaced.reason)));
+    statements.push_back(amendment(words, replaced));
   }
   if (certificate.issue && !certificate.issue->witnessing.by.empty()) {
     const RunWitnessing& witnessing = certificate.issue->witnessing;

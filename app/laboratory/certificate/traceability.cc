@@ -11,6 +11,7 @@
 
 #include "app/ground/bench_file/not_real.h"
 #include "app/results/estimates/effect_words.h"
+#include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 
 namespace abcal {
@@ -67,10 +68,12 @@ std::string reported_serial_numbers(const StoredRun& run, const std::string& rol
 }
 
 /// Serial number from the bench file, for an instrument that reports none.
-std::string stated_serial_number(const ReportData& data, const std::string& role) {
+std::string stated_serial_number(const StoredRun& run, const std::string& role) {
   // With several items, the header of the whole run contains the number of each.
-  return data.label(stated_serial_number_label(
-      role == "accelerometer" && data.is_one_of_several() ? fmt::format("item-{}", data.item) : role));
+  return label_of(run.header.labels,
+                  stated_serial_number_label(role == "accelerometer" && run.items.size() > 1
+                                                 ? fmt::format("item-{}", run.item)
+                                                 : role));
 }
 
 /// Requires the serial number of an instrument whose calibration is part of the traceability.
@@ -95,25 +98,6 @@ std::vector<Chain> chains_of(const ReportData& data, const std::string& which,
   return chains;
 }
 
-/// Whether a text has a number as a word of its own: "EX-7" is in "certificate EX-7.", not in "EX-71",
-/// "EX-7/2".
-bool names_number(std::string_view text, std::string_view number) {
-  if (number.find_first_not_of(' ') == std::string_view::npos) return false;
-  constexpr std::string_view kJoins = "-/._";
-  const auto is_word = [&](std::size_t at) {
-    return at < text.size() && (std::isalnum(static_cast<unsigned char>(text[at])) != 0);
-  };
-  const auto goes_on = [&](std::size_t at, std::size_t next) {
-    return is_word(at) ||
-           (at < text.size() && kJoins.find(text[at]) != std::string_view::npos && is_word(next));
-  };
-  for (std::size_t at = text.find(number); at != std::string_view::npos; at = text.find(number, at + 1)) {
-    // At the beginning, at - 1 wraps around to a position beyond the end, which has no character.
-    if (!goes_on(at - 1, at - 2) && !goes_on(at + number.size(), at + number.size() + 1)) return true;
-  }
-  return false;
-}
-
 /// A value that a calibration of the register states, U = k u.
 struct CalibrationValue {
   std::string unit;
@@ -127,9 +111,9 @@ struct StoredCalibration {
 };
 
 /// @throws std::runtime_error if the stored text cannot be read
-std::vector<StoredCalibration> stored_calibrations(const ReportData& data) {
+std::vector<StoredCalibration> stored_calibrations(const StoredRun& run) {
   std::vector<StoredCalibration> calibrations;
-  const std::string stored = data.label(kCalibrationsLabel);
+  const std::string stored = label_of(run.header.labels, kCalibrationsLabel);
   if (stored.empty()) return calibrations;
   try {
     for (const auto& json : nlohmann::json::parse(stored)) {
@@ -151,8 +135,8 @@ std::vector<StoredCalibration> stored_calibrations(const ReportData& data) {
       calibrations.push_back(std::move(calibration));
     }
   } catch (const nlohmann::json::exception& error) {
-    throw std::runtime_error(fmt::format("{}: what it keeps of the register cannot be read: {}",
-                                         data.path.string(), error.what()));
+    throw std::runtime_error(
+        fmt::format("what the run keeps of the register cannot be read: {}", error.what()));
   }
   return calibrations;
 }
@@ -169,7 +153,8 @@ bool agrees(const LocalGravity& g_loc, const CalibrationValue& value) {
 /// Values stated by the calibration of a piece of equipment, as the run stored them; a laboratory file states
 /// no values.
 std::vector<CalibrationValue> values_of(const ReportData& data, const Equipment& equipment) {
-  for (StoredCalibration& stored : stored_calibrations(data))
+  if (!data.run) return {};
+  for (StoredCalibration& stored : stored_calibrations(*data.run))
     if (stored.equipment.certificate == equipment.certificate &&
         stored.equipment.serial_number == equipment.serial_number)
       return std::move(stored.values);
@@ -252,7 +237,7 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
   } else {
     problems.push_back({which, "no date", "a run that says when it was made"});
   }
-  if (const std::string words = default_effects_words(data.record.tolerances); !words.empty())
+  if (const std::string words = default_effects_words(data.record.tolerances, Advice::kNone); !words.empty())
     problems.push_back({which + ", effects", words, "a source for each"});
   if (const std::vector<std::string> bare = effects_without_source(data.record.tolerances); !bare.empty())
     problems.push_back({which + ", effects",
@@ -266,22 +251,50 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
   return problems;
 }
 
+bool names_number(std::string_view text, std::string_view number) {
+  if (number.find_first_not_of(' ') == std::string_view::npos) return false;
+  constexpr std::string_view kJoins = "-/._";
+  const auto is_word = [&](std::size_t at) {
+    return at < text.size() && (std::isalnum(static_cast<unsigned char>(text[at])) != 0);
+  };
+  const auto goes_on = [&](std::size_t at, std::size_t next) {
+    return is_word(at) ||
+           (at < text.size() && kJoins.find(text[at]) != std::string_view::npos && is_word(next));
+  };
+  for (std::size_t at = text.find(number); at != std::string_view::npos; at = text.find(number, at + 1)) {
+    // At the beginning, at - 1 wraps around to a position beyond the end, which has no character.
+    if (!goes_on(at - 1, at - 2) && !goes_on(at + number.size(), at + number.size() + 1)) return true;
+  }
+  return false;
+}
+
+std::string serial_numbers_of(const StoredRun& run, const std::string& role) {
+  const std::string reported = reported_serial_numbers(run, role);
+  return reported.empty() ? stated_serial_number(run, role) : reported;
+}
+
 std::string serial_numbers_of(const ReportData& data, const std::string& role) {
-  if (!data.run) return {};
-  const std::string reported = reported_serial_numbers(*data.run, role);
-  return reported.empty() ? stated_serial_number(data, role) : reported;
+  return data.run ? serial_numbers_of(*data.run, role) : std::string();
 }
 
 bool is_serial_number_stated(const ReportData& data, const std::string& role) {
   return data.run && reported_serial_numbers(*data.run, role).empty() &&
-         !stated_serial_number(data, role).empty();
+         !stated_serial_number(*data.run, role).empty();
+}
+
+std::vector<Equipment> equipment_of_run(const StoredRun& run) {
+  std::vector<Equipment> equipment;
+  for (StoredCalibration& stored : stored_calibrations(run)) equipment.push_back(std::move(stored.equipment));
+  return equipment;
 }
 
 std::vector<Equipment> equipment_of_run(const ReportData& data) {
-  std::vector<Equipment> equipment;
-  for (StoredCalibration& stored : stored_calibrations(data))
-    equipment.push_back(std::move(stored.equipment));
-  return equipment;
+  if (!data.run) return {};
+  try {
+    return equipment_of_run(*data.run);
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(fmt::format("{}: {}", data.path.string(), error.what()));
+  }
 }
 
 bool is_environment_stated(const ReportData& data) {

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/laboratory/certificate/laboratory_file.h"
 #include "app/results/estimates/report_data.h"
 #include "protocol/plan/run_config.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal {
 
@@ -27,6 +29,7 @@ std::string serial_number_without_equipment(const std::vector<Equipment>& equipm
 /// The serial numbers of an instrument of a run by its role ("stage", "accelerometer"): as it reported them,
 /// or as the bench file stated them for one that reports none. Empty: neither.
 std::string serial_numbers_of(const ReportData& data, const std::string& role);
+std::string serial_numbers_of(const StoredRun& run, const std::string& role);
 
 /// Whether serial_numbers_of() gives those that the bench file stated.
 bool is_serial_number_stated(const ReportData& data, const std::string& role);
@@ -34,6 +37,11 @@ bool is_serial_number_stated(const ReportData& data, const std::string& role);
 /// The equipment that a run stored from the register when it began; empty for runs without a register.
 /// @throws std::runtime_error if the stored text cannot be read
 std::vector<Equipment> equipment_of_run(const ReportData& data);
+std::vector<Equipment> equipment_of_run(const StoredRun& run);
+
+/// Whether a text has a number as a word of its own: "EX-7" is in "certificate EX-7.", not in "EX-71",
+/// "EX-7/2".
+bool names_number(std::string_view text, std::string_view number);
 
 /// Whether the values of the room were typed in: stated by the operator, not observed.
 bool is_environment_stated(const ReportData& data);

@@ -131,10 +131,14 @@ std::string with_decimal_mark(std::string_view text, const std::string& mark) {
 }
 
 /// Whether a value extends over the end of a sentence. A list, which a template has between ": " and "; ",
-/// may do so.
+/// may do so, but not over the end of a sentence of the same template.
 bool holds_sentences(const std::vector<std::string_view>& values, const Template& made) {
-  for (std::size_t i = 0; i < values.size(); ++i)
+  constexpr std::size_t kTelling = 10;
+  const std::string_view end = made.between.back();
+  for (std::size_t i = 0; i < values.size(); ++i) {
     if (values[i].find("; ") != std::string_view::npos && !made.between[i + 1].starts_with(';')) return true;
+    if (end.size() >= kTelling && values[i].find(end) != std::string_view::npos) return true;
+  }
   return false;
 }
 

@@ -11,7 +11,9 @@
 #include <memory>
 #include <stdexcept>
 
+#include "app/ground/system/read_file.h"
 #include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/signing_certificate.h"
 
 namespace abcal {
 namespace {
@@ -55,17 +57,55 @@ xmlSecTransformId method_of(const xmlSecKey& key, const std::filesystem::path& p
   throw std::invalid_argument(path.string() + ": a key of another kind; required: RSA or elliptic curve");
 }
 
-/// An empty signature at the end of the document: everything but itself, and room for the certificate.
-xmlNode* add_template(xmlDoc* document, xmlSecTransformId method) {
-  xmlNode* signature =
-      xmlSecTmplSignatureCreateNsPref(document, xmlSecTransformExclC14NId, method, nullptr, as_xml("ds"));
+constexpr const char* kSignatureId = "abcal-signature";
+constexpr const char* kDocumentId = "abcal-document";
+
+/// The facts that XAdES-BES signs beside the document: when, with which certificate, and of what format it
+/// is.
+void add_signed_properties(xmlNode* signature, const std::string& utc, const std::string& certificate_pem) {
+  XmlElement object(xmlSecTmplSignatureAddObject(signature, nullptr, nullptr, nullptr));
+  xmlNode* node = xmlNewChild(object.node(), nullptr, as_xml("QualifyingProperties"), nullptr);
+  xmlSetNs(node, xmlNewNs(node, as_xml(kXadesNamespace), as_xml("xades")));
+  XmlElement qualifying(node);
+  qualifying.attribute("Target", std::string("#") + kSignatureId);
+  XmlElement properties = qualifying.add("xades:SignedProperties");
+  properties.attribute("Id", kSignedPropertiesId);
+  XmlElement of_signature = properties.add("xades:SignedSignatureProperties");
+  of_signature.add("xades:SigningTime", utc);
+  XmlElement digest =
+      of_signature.add("xades:SigningCertificateV2").add("xades:Cert").add("xades:CertDigest");
+  digest.add("ds:DigestMethod").attribute("Algorithm", kSha256Algorithm);
+  digest.add("ds:DigestValue", digest_of_certificate(certificate_pem));
+  XmlElement format = properties.add("xades:SignedDataObjectProperties").add("xades:DataObjectFormat");
+  format.attribute("ObjectReference", std::string("#") + kDocumentId);
+  format.add("xades:MimeType", "text/xml");
+}
+
+/// Makes the attributes "Id" known, to which references of a signature point.
+void know_ids(xmlDoc* document) {
+  const xmlChar* names[] = {as_xml("Id"), nullptr};
+  xmlSecAddIDs(document, xmlDocGetRootElement(document), names);
+}
+
+/// An empty signature at the end of the document: everything but itself, its signed properties, and room for
+/// the certificate.
+xmlNode* add_template(xmlDoc* document, xmlSecTransformId method, const std::string& utc,
+                      const std::string& certificate_pem) {
+  xmlNode* signature = xmlSecTmplSignatureCreateNsPref(document, xmlSecTransformExclC14NId, method,
+                                                       as_xml(kSignatureId), as_xml("ds"));
   xmlAddChild(xmlDocGetRootElement(document), signature);
-  xmlNode* reference =
-      xmlSecTmplSignatureAddReference(signature, xmlSecTransformSha256Id, nullptr, as_xml(""), nullptr);
+  xmlNode* reference = xmlSecTmplSignatureAddReference(signature, xmlSecTransformSha256Id,
+                                                       as_xml(kDocumentId), as_xml(""), nullptr);
   xmlSecTmplReferenceAddTransform(reference, xmlSecTransformEnvelopedId);
   xmlSecTmplReferenceAddTransform(reference, xmlSecTransformExclC14NId);
+  const std::string to_properties = std::string("#") + kSignedPropertiesId;
+  xmlNode* properties =
+      xmlSecTmplSignatureAddReference(signature, xmlSecTransformSha256Id, nullptr,
+                                      as_xml(to_properties.c_str()), as_xml(kSignedPropertiesType));
+  xmlSecTmplReferenceAddTransform(properties, xmlSecTransformExclC14NId);
   xmlNode* data = xmlSecTmplKeyInfoAddX509Data(xmlSecTmplSignatureEnsureKeyInfo(signature, nullptr));
   xmlSecTmplX509DataAddCertificate(data);
+  add_signed_properties(signature, utc, certificate_pem);
   return signature;
 }
 
@@ -91,6 +131,7 @@ std::string unformatted(xmlDoc* document) {
 bool has_good_signature(const std::string& xml, const std::filesystem::path& certificate) {
   start_xmlsec();
   const XmlDocument document = parse_xml(xml, "the signed certificate");
+  know_ids(document.get());
   xmlNode* signature =
       xmlSecFindNode(xmlDocGetRootElement(document.get()), xmlSecNodeSignature, xmlSecDSigNs);
   const Context context = context_with(load(certificate, xmlSecKeyDataFormatCertPem, "X.509 certificate"));
@@ -98,7 +139,7 @@ bool has_good_signature(const std::string& xml, const std::filesystem::path& cer
          context->status == xmlSecDSigStatusSucceeded;
 }
 
-std::string add_xml_signature(const std::string& xml, const SigningKey& with) {
+std::string add_xml_signature(const std::string& xml, const SigningKey& with, const std::string& utc) {
   start_xmlsec();
   Key key = load(with.key, xmlSecKeyDataFormatPem, "private key");
   if ((xmlSecKeyGetType(key.get()) & xmlSecKeyDataTypePrivate) == 0)
@@ -107,7 +148,9 @@ std::string add_xml_signature(const std::string& xml, const SigningKey& with) {
     throw std::invalid_argument(with.certificate.string() + ": no X.509 certificate; required: PEM");
 
   const XmlDocument document = parse_xml(xml, "the certificate");
-  xmlNode* signature = add_template(document.get(), method_of(*key, with.key));
+  xmlNode* signature =
+      add_template(document.get(), method_of(*key, with.key), utc, read_file(with.certificate));
+  know_ids(document.get());
   const Context context = context_with(std::move(key));
   if (xmlSecDSigCtxSign(context.get(), signature) < 0)
     throw std::runtime_error(with.key.string() + ": the certificate could not be signed with it");

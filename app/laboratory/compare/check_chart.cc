@@ -89,8 +89,11 @@ ChartSubject subject_of(const StoredRun& run) {
   const auto label = [&](const char* key) { return label_of(run.header.labels, key); };
   ChartSubject subject{
       label("item.maker"), label("item.model"), label("item.serial_number"), {{}, label("bench.name")}};
-  for (const InstrumentIdentity& instrument : run.header.instruments)
-    if (instrument.role == "stage") subject.bench.stage = joined(instrument.model, instrument.serial_number);
+  for (const InstrumentIdentity& instrument : run.header.instruments) {
+    if (instrument.role != "stage") continue;
+    subject.bench.stage = joined(instrument.model, instrument.serial_number);
+    subject.bench.stage_serial_number = instrument.serial_number;
+  }
   return subject;
 }
 

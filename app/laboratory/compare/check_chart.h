@@ -20,8 +20,9 @@ class CheckChartError : public std::invalid_argument {
 
 /// Where a run was measured.
 struct BenchIdentity {
-  std::string stage;  ///< Model and serial number as the stage reported them.
-  std::string name;   ///< [bench] name; may be empty.
+  std::string stage;                     ///< Model and serial number as the stage reported them.
+  std::string name;                      ///< [bench] name; may be empty.
+  std::string stage_serial_number = {};  ///< That of `stage` alone; empty: not reported.
 };
 
 /// Subject of a chart: an item on a bench.

@@ -31,10 +31,15 @@ Json result_of(const ComparedResult& result, const std::array<std::string, 9>& u
   return {{"file", result.file},
           {"kind", result.kind},
           {"what", result.what},
+          {"estimator", result.estimator.empty() ? Json(nullptr) : Json(result.estimator)},
+          {"formula", result.published           ? Json("published")
+                      : result.estimator.empty() ? Json(nullptr)
+                                                 : Json("line response")},
           {"date", result.date},
           {"item", result.item},
           {"item_serial_number", result.item_serial_number},
           {"stage", result.stage},
+          {"stage_serial_number", result.stage_serial_number},
           {"properties", std::move(properties)},
           {"covariances_known", result.with_correlations},
           {"notes", result.notes}};
@@ -66,7 +71,7 @@ Json pair_of(const PairComparison& pair, const ResultsComparison& comparison) {
                                       {"zeta", p.zeta},
                                       {"e_n", p.e_n}};
   }
-  Json json{{"first", comparison.results.front().file},
+  Json json{{"first", comparison.results[pair.first].file},
             {"second", comparison.results[pair.second].file},
             {"agrees", pair.agrees()},
             {"why", pair.why},
@@ -76,7 +81,9 @@ Json pair_of(const PairComparison& pair, const ResultsComparison& comparison) {
             {"chi2", nullptr},
             {"degrees_of_freedom", pair.intrinsic.degrees_of_freedom},
             {"chi2_probability", nullptr},
-            {"rotation", nullptr}};
+            {"rotation", nullptr},
+            {"joint_probability", pair.intrinsic.joint_probability},
+            {"expected_beyond", pair.intrinsic.expected_beyond()}};
   if (pair.intrinsic.chi2) json["chi2"] = *pair.intrinsic.chi2;
   if (pair.intrinsic.chi2_probability) json["chi2_probability"] = *pair.intrinsic.chi2_probability;
   if (pair.rotation) json["rotation"] = rotation_of(*pair.rotation);
@@ -138,14 +145,27 @@ Json series_of(const PropertySeries& series, const std::string& unit) {
   return json;
 }
 
+Json consistency_of(const ResultsComparison& comparison) {
+  if (!comparison.consistency) return nullptr;
+  const ConsistentSubset& found = *comparison.consistency;
+  const auto test = [](const ConsistencyTest& t) {
+    return Json{
+        {"chi2", t.chi2}, {"degrees_of_freedom", t.degrees_of_freedom}, {"chi2_probability", t.probability}};
+  };
+  Json outliers = Json::array();
+  for (const std::size_t i : found.outliers) outliers.push_back(comparison.results[i].file);
+  return {{"agree", found.agree(kAgreementLevel)}, {"all", test(found.all)},
+          {"majority_agrees", found.found},        {"outliers", std::move(outliers)},
+          {"subset", test(found.subset)},          {"alternatives", found.alternatives},
+          {"exhaustive", found.exhaustive},        {"covariances_used", found.covariances_used}};
+}
+
 }  // namespace
 
 nlohmann::ordered_json compare_json(const ResultsComparison& comparison) {
-  Json json{{"schema", "abcal.compare/1"},
-            {"agree", comparison.agree()},
-            {"shared_stage_subtracted", comparison.shared_subtracted},
-            {"results", Json::array()},
-            {"pairs", Json::array()}};
+  Json json{{"schema", "abcal.compare/1"},        {"agree", comparison.agree()},
+            {"agreement_level", kAgreementLevel}, {"shared_stage_subtracted", comparison.shared_subtracted},
+            {"results", Json::array()},           {"pairs", Json::array()}};
   for (const ComparedResult& result : comparison.results)
     json["results"].push_back(result_of(result, comparison.units));
   for (const PairComparison& pair : comparison.pairs) json["pairs"].push_back(pair_of(pair, comparison));
@@ -162,8 +182,10 @@ nlohmann::ordered_json compare_json(const ResultsComparison& comparison) {
     Json properties;
     for (std::size_t i = 0; i < 9; ++i)
       properties[kIntrinsicNames[i]] = series_of((*comparison.series)[i], comparison.units[i]);
-    json["several"] = {
-        {"order", std::move(order)}, {"groups", std::move(groups)}, {"properties", std::move(properties)}};
+    json["several"] = {{"order", std::move(order)},
+                       {"groups", std::move(groups)},
+                       {"properties", std::move(properties)},
+                       {"consistency", consistency_of(comparison)}};
   }
   json["notes"] = comparison.notes;
   return json;

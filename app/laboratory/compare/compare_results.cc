@@ -5,10 +5,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <map>
 #include <numeric>
 
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/plan/run_config.h"
 
 namespace abcal {
 namespace {
@@ -92,7 +94,7 @@ Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult
                                        static_cast<std::size_t>(second.item_of_run) - 1) *
            factors_of(second).asDiagonal();
   for (const ComparedResult* result : {&first, &second}) {
-    if (!result->record || result->what != "abc estimator" || !result->matrix) {
+    if (!result->record || result->estimator != kPublishedEstimator || !result->matrix) {
       throw CompareError(
           fmt::format("--shared: {} ({}) does not state which part of its uncertainty comes from the stage; "
                       "required: runs "
@@ -100,14 +102,30 @@ Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult
                       result->file, result->what));
     }
   }
-  if (!first.stage.empty() && !second.stage.empty() && first.stage != second.stage) {
+  if (on_same_stage(first, second) == SameStage::kNo) {
     throw CompareError(fmt::format("--shared: {} was measured on {}, {} on {}; required: one stage",
                                    first.file, first.stage, second.file, second.stage));
   }
-  return factors_of(first).asDiagonal() * shared_type_b(*first.record, *second.record) *
+  const AbcFormula formula = first.published ? AbcFormula::kPublished : AbcFormula::kLineResponse;
+  return factors_of(first).asDiagonal() * shared_type_b(*first.record, *second.record, formula) *
          factors_of(second).asDiagonal();
 }
 
+std::string files_of(const std::vector<const ComparedResult*>& results) {
+  std::string text;
+  for (const ComparedResult* result : results) text += (text.empty() ? "" : ", ") + result->file;
+  return text;
+}
+
+/// "a.csv does not name", of those results that leave the serial number of their stage open.
+std::string without_stage(const std::vector<const ComparedResult*>& results) {
+  std::vector<const ComparedResult*> silent;
+  std::ranges::copy_if(results, std::back_inserter(silent),
+                       [](const ComparedResult* result) { return result->stage_serial_number.empty(); });
+  return files_of(silent) + (silent.size() == 1 ? " does not name" : " do not name");
+}
+
+/// For two results: what both took from one stage, and what was done about it.
 void note_common_stage(const ComparedResult& first, const ComparedResult& second, bool subtracted,
                        std::vector<std::string>& notes) {
   if (in_one_common_fit(first, second)) {
@@ -121,15 +139,54 @@ void note_common_stage(const ComparedResult& first, const ComparedResult& second
         "subtracted from the uncertainty of the differences{}. What the stage did not do the same way twice "
         "(homing, temperature) is then a difference too",
         first.file, second.file,
-        first.stage.empty() || second.stage.empty() ? "; that the stage is the same was taken from --shared"
-                                                    : ", stage " + first.stage));
-  } else if (!first.stage.empty() && first.stage == second.stage) {
+        on_same_stage(first, second) == SameStage::kUnknown
+            ? "; that the stage is the same was taken from --shared"
+            : ", stage " + first.stage));
+  } else if (on_same_stage(first, second) == SameStage::kYes) {
     notes.push_back(
         fmt::format("{} and {} were measured on the same stage ({}): its type B is common to both and was "
-                    "NOT subtracted, so "
-                    "that E_n is too small (--shared subtracts it)",
-                    first.file, second.file, first.stage));
+                    "NOT subtracted, so that E_n is too small{}",
+                    first.file, second.file, first.stage,
+                    first.record && second.record ? " (--shared subtracts it)" : ""));
+  } else if (on_same_stage(first, second) == SameStage::kUnknown) {
+    notes.push_back(
+        fmt::format("whether {} and {} were measured on one stage cannot be known: {} its serial number; if "
+                    "they were, its type B is common to both and E_n is too small",
+                    first.file, second.file, without_stage({&first, &second})));
   }
+}
+
+/// For several results: which of them share a stage, and what this means for E_n and for the mean.
+void note_common_stages(const std::vector<ComparedResult>& results, bool subtracted,
+                        std::vector<std::string>& notes) {
+  std::map<std::string, std::vector<const ComparedResult*>> of_stage;
+  std::vector<const ComparedResult*> unknown;
+  for (const ComparedResult& result : results) {
+    if (result.stage_serial_number.empty()) {
+      unknown.push_back(&result);
+    } else {
+      of_stage[result.stage].push_back(&result);
+    }
+  }
+  for (const auto& [stage, on_it] : of_stage) {
+    if (on_it.size() < 2) continue;
+    const bool certified = std::ranges::any_of(on_it, [](const ComparedResult* r) { return !r->record; });
+    notes.push_back(fmt::format(
+        "{} were measured on the same stage ({}): its type B is common to them. It is not averaged down in "
+        "the uncertainty of the mean{}. It was {} from the uncertainty of the differences{}",
+        files_of(on_it), stage,
+        certified ? "; certificates do not say which part is type B of the stage, so that the smaller "
+                    "uncertainty of two is taken as common to both"
+                  : "",
+        subtracted ? "subtracted" : "NOT subtracted",
+        subtracted ? "" : ", so that E_n and chi2 are too small"));
+  }
+  if (!unknown.empty() && !subtracted)
+    notes.push_back(fmt::format(
+        "whether {} {} measured on one stage with {} cannot be known: {} its serial number. The mean takes "
+        "all as independent; if they share a stage, its uncertainty is too small, and so is E_n",
+        files_of(unknown), unknown.size() == 1 ? "was" : "were",
+        unknown.size() == results.size() ? "one another" : "the others", without_stage(unknown)));
 }
 
 std::string reason(const PairComparison& pair, const std::string& first, const std::string& second) {
@@ -140,17 +197,18 @@ std::string reason(const PairComparison& pair, const std::string& first, const s
         "the axes u, v, w of {} and {} are of different handedness: one is reversed, or two are swapped",
         first, second);
   }
+  const IntrinsicComparison& found = pair.intrinsic;
   std::vector<std::string> beyond;
   for (std::size_t i = 0; i < 9; ++i) {
-    const double e_n = pair.intrinsic.properties[i].e_n;
+    const double e_n = found.properties[i].e_n;
     if (std::abs(e_n) > 1.0) beyond.push_back(fmt::format("{} (E_n {:+.2f})", kIntrinsicNames[i], e_n));
   }
-  if (beyond.empty()) {
-    return fmt::format("all {} properties agree: the largest |E_n| is {:.2f}; required: at most 1",
-                       pair.intrinsic.degrees_of_freedom, pair.intrinsic.largest_e_n);
-  }
-  return fmt::format("{} of {} properties differ: {}; required: |E_n| at most 1", beyond.size(),
-                     pair.intrinsic.degrees_of_freedom, fmt::join(beyond, ", "));
+  std::string words = fmt::format(
+      "P = {:.2g} that chance gives differences as large in {} properties together; required: at least {}",
+      found.joint_probability, found.degrees_of_freedom, kAgreementLevel);
+  if (beyond.empty()) return words + fmt::format(". The largest |E_n| is {:.2f}", found.largest_e_n);
+  return words + fmt::format(". |E_n| above 1: {}; by chance {:.1f} of {} are expected",
+                             fmt::join(beyond, ", "), found.expected_beyond(), found.degrees_of_freedom);
 }
 
 PairComparison compare_pair(const ComparedResult& first, const ComparedResult& second, bool shared_stage) {
@@ -207,44 +265,129 @@ void find_groups(const std::string& group_by, ResultsComparison& comparison) {
   }
 }
 
-/// Common variance of two results of one property. On one stage it is the type B part: as --shared computes
-/// it if both are records, else all of the smaller one.
-double common_variance(const ComparedResult& first, const ComparedResult& second, Eigen::Index property) {
-  if (first.stage.empty() || first.stage != second.stage) return 0.0;
-  if (first.record && second.record && first.what == "abc estimator" && second.what == "abc estimator" &&
-      first.matrix && second.matrix) {
-    const Covariance12 shared = shared_covariance(first, second);
-    return (intrinsic_jacobian(*first.matrix) * shared * intrinsic_jacobian(*second.matrix).transpose())(
-        property, property);
-  }
-  const auto type_b_variance = [&](const ComparedResult& result) {
-    const double type_a = result.type_a ? (*result.type_a)(property) : 0.0;
-    return std::max(0.0, result.covariance(property, property) - type_a * type_a);
-  };
-  return std::min(type_b_variance(first), type_b_variance(second));
+/// The known covariance of two results (the first in rows): of one with itself its own; of two,
+/// what --shared subtracts.
+Covariance9 intrinsic_covariance(const ResultsComparison& comparison, std::size_t i, std::size_t j) {
+  const ComparedResult& first = comparison.results[i];
+  const ComparedResult& second = comparison.results[j];
+  if (i == j) return first.covariance;
+  if (!comparison.shared_subtracted) return Covariance9::Zero();
+  return intrinsic_jacobian(*first.matrix) * shared_covariance(first, second) *
+         intrinsic_jacobian(*second.matrix).transpose();
 }
 
-/// The mean with type B, correlated where results share a stage; nothing where an uncertainty is not given.
-std::optional<RandomEffectsMean> mean_with_type_b(const ResultsComparison& comparison,
-                                                  const std::vector<double>& values, Eigen::Index property) {
-  const auto n = static_cast<Eigen::Index>(values.size());
-  Eigen::MatrixXd covariance(n, n);
-  const auto result = [&](Eigen::Index i) -> const ComparedResult& {
-    return comparison.results[comparison.order[static_cast<std::size_t>(i)]];
+/// Whether all results agree, and if not, the largest part of them that does.
+std::optional<ConsistentSubset> consistency_of(ResultsComparison& comparison) {
+  const std::size_t n = comparison.results.size();
+  if (n > kMostConsistent) {
+    comparison.notes.push_back(
+        fmt::format("{} results: more than {} are not tested together, only in pairs", n, kMostConsistent));
+    return std::nullopt;
+  }
+  std::vector<Eigen::Index> given;
+  for (Eigen::Index p = 0; p < 9; ++p) {
+    if (std::ranges::all_of(comparison.results, [&](const ComparedResult& result) {
+          return std::isfinite(result.values(p)) && result.covariance(p, p) > 0.0;
+        }))
+      given.push_back(p);
+  }
+  if (given.empty()) {
+    comparison.notes.emplace_back("no property is given by all results: they are compared in pairs only");
+    return std::nullopt;
+  }
+  const auto size = static_cast<Eigen::Index>(given.size());
+  std::vector<Eigen::VectorXd> values;
+  Eigen::MatrixXd covariance(static_cast<Eigen::Index>(n) * size, static_cast<Eigen::Index>(n) * size);
+  for (std::size_t i = 0; i < n; ++i) {
+    values.emplace_back(comparison.results[i].values(given));
+    for (std::size_t j = i; j < n; ++j) {
+      const Eigen::MatrixXd block = intrinsic_covariance(comparison, i, j)(given, given);
+      const auto row = static_cast<Eigen::Index>(i) * size, column = static_cast<Eigen::Index>(j) * size;
+      covariance.block(row, column, size, size) = block;
+      covariance.block(column, row, size, size) = block.transpose();
+    }
+  }
+  ConsistentSubset found = largest_consistent_subset(values, covariance, kAgreementLevel);
+  if (!found.covariances_used)
+    comparison.notes.emplace_back(
+        "the covariances given contradict one another (they are not positive definite): all results together "
+        "are tested by their uncertainties alone");
+  if (!found.exhaustive)
+    comparison.notes.emplace_back(
+        "there are too many subsets to try all: results that do not agree were taken out one by one");
+  return found;
+}
+
+/// Covariances of each property between the results, in the order of the charts: what is known to be common,
+/// and the largest part that may be.
+struct PropertyCovariances {
+  std::array<Eigen::MatrixXd, 9> known, largest;
+};
+
+/// The largest variances that two results may have in common. On one stage it is the type B part: as --shared
+/// computes it if both are records of the published protocol, else all of the smaller one (of a certificate,
+/// which does not say which part is type A, all of its uncertainty). Otherwise what is known.
+IntrinsicValues largest_common(const ComparedResult& first, const ComparedResult& second,
+                               const IntrinsicValues& known) {
+  if (on_same_stage(first, second) != SameStage::kYes || !known.isZero(0.0)) return known;
+  if (first.record && second.record && first.estimator == kPublishedEstimator &&
+      second.estimator == kPublishedEstimator && first.matrix && second.matrix) {
+    return (intrinsic_jacobian(*first.matrix) * shared_covariance(first, second) *
+            intrinsic_jacobian(*second.matrix).transpose())
+        .diagonal();
+  }
+  const auto type_b_variances = [](const ComparedResult& result) -> IntrinsicValues {
+    const IntrinsicValues type_a = result.type_a.value_or(IntrinsicValues::Zero());
+    return (result.covariance.diagonal() - type_a.cwiseAbs2()).cwiseMax(0.0);
   };
+  return type_b_variances(first).cwiseMin(type_b_variances(second));
+}
+
+PropertyCovariances property_covariances(const ResultsComparison& comparison) {
+  const auto n = static_cast<Eigen::Index>(comparison.order.size());
+  PropertyCovariances out;
+  for (std::size_t p = 0; p < 9; ++p) out.known[p] = out.largest[p] = Eigen::MatrixXd(n, n);
   for (Eigen::Index i = 0; i < n; ++i) {
-    for (Eigen::Index j = 0; j < n; ++j)
-      covariance(i, j) = i == j ? result(i).covariance(property, property)
-                                : common_variance(result(std::min(i, j)), result(std::max(i, j)), property);
+    for (Eigen::Index j = i; j < n; ++j) {
+      const std::size_t a = comparison.order[static_cast<std::size_t>(i)];
+      const std::size_t b = comparison.order[static_cast<std::size_t>(j)];
+      const IntrinsicValues known = intrinsic_covariance(comparison, a, b).diagonal();
+      const IntrinsicValues largest =
+          i == j ? known : largest_common(comparison.results[a], comparison.results[b], known);
+      for (std::size_t p = 0; p < 9; ++p) {
+        const auto property = static_cast<Eigen::Index>(p);
+        out.known[p](i, j) = out.known[p](j, i) = known(property);
+        out.largest[p](i, j) = out.largest[p](j, i) = largest(property);
+      }
+    }
+  }
+  return out;
+}
+
+/// The mean with type B, correlated where results share a stage, of those results that agree; nothing where
+/// an uncertainty is not given.
+std::optional<RandomEffectsMean> mean_with_type_b(const ResultsComparison& comparison,
+                                                  const std::vector<double>& values,
+                                                  const PropertyCovariances& covariances,
+                                                  std::size_t property) {
+  MeanOptions options;
+  options.largest_covariance = covariances.largest[property];
+  if (comparison.consistency) {
+    const std::vector<std::size_t>& outliers = comparison.consistency->outliers;
+    for (std::size_t i = 0; i < comparison.order.size(); ++i) {
+      if (std::ranges::find(outliers, comparison.order[i]) != outliers.end()) options.left_out.push_back(i);
+    }
   }
   try {
-    return random_effects_mean(values, covariance);
+    return random_effects_mean(values, covariances.known[property], options);
   } catch (const std::exception&) {
     return std::nullopt;  // A weighted mean requires uncertainties.
   }
 }
 
-PropertySeries series_of(const ResultsComparison& comparison, Eigen::Index property, double ewma_weight) {
+PropertySeries series_of(const ResultsComparison& comparison, const PropertyCovariances& covariances,
+                         std::size_t number, double ewma_weight) {
+  const auto property = static_cast<Eigen::Index>(number);
   PropertySeries series;
   std::vector<double> type_a;
   bool all_given = true;
@@ -256,7 +399,7 @@ PropertySeries series_of(const ResultsComparison& comparison, Eigen::Index prope
   }
   if (!all_given) return series;
   if (type_a.size() == series.values.size()) series.spread = spread_between_runs(series.values, type_a);
-  series.random_effects = mean_with_type_b(comparison, series.values, property);
+  series.random_effects = mean_with_type_b(comparison, series.values, covariances, number);
   series.individuals = individuals_chart(series.values);
   series.ewma = ewma_chart(series.values, series.individuals->centre, series.individuals->standard_deviation,
                            ewma_weight);
@@ -289,8 +432,53 @@ void put_in_order(ResultsComparison& comparison) {
 }  // namespace
 
 bool ResultsComparison::agree() const {
-  return std::all_of(pairs.begin(), pairs.end(), [](const PairComparison& pair) { return pair.agrees(); });
+  if (!consistency) return std::ranges::all_of(pairs, &PairComparison::agrees);
+  return consistency->agree(kAgreementLevel) && std::ranges::all_of(pairs, [](const PairComparison& pair) {
+           return !pair.rotation || pair.rotation->same_handedness;
+         });
 }
+
+namespace {
+
+/// Notes which quantity is compared, where another laboratory's may be another one.
+void note_formulas(const std::vector<ComparedResult>& results, std::vector<std::string>& notes) {
+  if (std::ranges::any_of(results, &ComparedResult::published)) {
+    notes.emplace_back(
+        "runs and CSVs are compared by the published formula (not corrected for k2 and k3), with the "
+        "uncertainty of the paper: readings, alignment, turns, zeros and steps. These are not the line "
+        "response");
+    return;
+  }
+  if (std::ranges::all_of(results, [](const ComparedResult& result) { return result.estimator.empty(); }))
+    return;
+  for (const ComparedResult& result : results)
+    if (result.estimator.empty())
+      notes.push_back(fmt::format(
+          "{} is of another program and is compared with the line response; if it is an ABC result by the "
+          "published formula, --published compares it with the same quantity",
+          result.file));
+}
+
+/// Compares each result with the first, or with the first that is no outlier.
+void compare_pairs(ResultsComparison& comparison) {
+  std::size_t reference = 0;
+  while (comparison.consistency && std::ranges::find(comparison.consistency->outliers, reference) !=
+                                       comparison.consistency->outliers.end())
+    ++reference;
+  const ComparedResult& first = comparison.results[reference];
+  for (std::size_t i = 0; i < comparison.results.size(); ++i) {
+    if (i == reference) continue;
+    const ComparedResult& other = comparison.results[i];
+    comparison.pairs.push_back(compare_pair(first, other, comparison.shared_subtracted));
+    comparison.pairs.back().first = reference;
+    comparison.pairs.back().second = i;
+    if (first.record && other.record && first.what != other.what)
+      comparison.notes.push_back(fmt::format("{} is by the {}, {} by the {}: both estimate the line response",
+                                             first.file, first.what, other.file, other.what));
+  }
+}
+
+}  // namespace
 
 ResultsComparison compare_results(std::vector<ComparedResult> results, const CompareOptions& options) {
   if (results.size() < 2)
@@ -305,33 +493,32 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
   if (!options.any_item && !of_one_run) require_one_item(comparison.results, comparison.notes);
   for (std::string& note : convert_to_common_units(comparison.results))
     comparison.notes.push_back(std::move(note));
-  const ComparedResult& first = comparison.results.front();
-  comparison.units = units_of_properties(first);
+  comparison.units = units_of_properties(comparison.results.front());
+  note_formulas(comparison.results, comparison.notes);
   comparison.shared_subtracted = options.shared_stage;
-  for (std::size_t i = 1; i < comparison.results.size(); ++i) {
-    comparison.pairs.push_back(compare_pair(first, comparison.results[i], options.shared_stage));
-    comparison.pairs.back().second = i;
-    const ComparedResult& other = comparison.results[i];
-    if (first.record && other.record && first.what != other.what)
-      comparison.notes.push_back(fmt::format("{} is by the {}, {} by the {}: both estimate the line response",
-                                             first.file, first.what, other.file, other.what));
-    note_common_stage(first, comparison.results[i], options.shared_stage, comparison.notes);
+  const bool several = comparison.results.size() > 2 && !of_one_run;
+  if (several) comparison.consistency = consistency_of(comparison);
+  compare_pairs(comparison);
+  if (several) {
+    note_common_stages(comparison.results, options.shared_stage, comparison.notes);
+  } else {
+    for (const PairComparison& pair : comparison.pairs)
+      note_common_stage(comparison.results[pair.first], comparison.results[pair.second], options.shared_stage,
+                        comparison.notes);
   }
-  if (of_one_run) {
+  if (!several) {  // Means and charts are those of one item over time.
     if (!options.group_by.empty())
-      throw CompareError("--group-by: items of one run make no groups; required: runs of one item");
-    return comparison;  // Means and charts are those of one item over time.
-  }
-  if (comparison.results.size() < 3) {
-    if (!options.group_by.empty())
-      throw CompareError("--group-by: two results make no groups; at least three are required");
+      throw CompareError(of_one_run
+                             ? "--group-by: items of one run make no groups; required: runs of one item"
+                             : "--group-by: two results make no groups; at least three are required");
     return comparison;
   }
   put_in_order(comparison);
   if (!options.group_by.empty()) find_groups(options.group_by, comparison);
   comparison.series.emplace();
+  const PropertyCovariances covariances = property_covariances(comparison);
   for (std::size_t i = 0; i < 9; ++i)
-    (*comparison.series)[i] = series_of(comparison, static_cast<Eigen::Index>(i), options.ewma_weight);
+    (*comparison.series)[i] = series_of(comparison, covariances, i, options.ewma_weight);
   return comparison;
 }
 

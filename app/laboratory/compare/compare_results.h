@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/laboratory/compare/compared_result.h"
+#include "app/laboratory/compare/consistent_subset.h"
 #include "app/laboratory/compare/random_effects.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/uncertainty/analysis_of_variance.h"
@@ -20,8 +21,9 @@ struct CompareOptions {
   double ewma_weight = 0.2;
 };
 
-/// One result against the first.
+/// One result against another.
 struct PairComparison {
+  std::size_t first = 0;   ///< Position in the list.
   std::size_t second = 1;  ///< Position in the list.
   IntrinsicComparison intrinsic;
   std::optional<RotationBetween> rotation;  ///< Absent where one of the two has no matrix.
@@ -44,7 +46,11 @@ struct ResultsComparison {
   std::vector<ComparedResult> results;  ///< In the given order, in common units.
   std::array<std::string, 9> units;
   bool shared_subtracted = false;
-  std::vector<PairComparison> pairs;  ///< Each of the others against the first.
+  /// Each of the others against the first; where that is an outlier, against the first that is none.
+  std::vector<PairComparison> pairs;
+  /// All results of one item together, of the properties that all of them give. Absent for two results, for
+  /// items of one run, for more than kMostConsistent, and where no property is given by all.
+  std::optional<ConsistentSubset> consistency;
   // From three results on.
   std::vector<std::size_t> order;                ///< Positions by time, or as given if times are not known.
   std::vector<std::string> group_names;          ///< Empty without groups.
@@ -52,6 +58,8 @@ struct ResultsComparison {
   std::optional<std::array<PropertySeries, 9>> series;  ///< Absent for two.
   std::vector<std::string> notes;
 
+  /// The verdict: that of all results together if they were tested so, else that of every pair; and the same
+  /// handedness of all.
   bool agree() const;
 };
 

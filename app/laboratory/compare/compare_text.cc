@@ -1,10 +1,13 @@
 #include "app/laboratory/compare/compare_text.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <cmath>
 
+#include "app/ground/system/output.h"
 #include "app/ground/system/terminal.h"
+#include "app/ground/system/text_layout.h"
 #include "app/results/estimates/result_text.h"
 
 namespace abcal {
@@ -40,18 +43,65 @@ void list_results(const ResultsComparison& comparison, std::string& text) {
   }
 }
 
+/// The verdict on results, and what it rests on, in lines of a terminal.
+std::string verdict_lines(const std::string& whose, bool agree, const std::string& why, std::FILE* stream) {
+  const std::string verdict = agree ? "agree" : "do NOT agree";
+  const std::string text =
+      wrapped(printable_line(fmt::format("{} {}: {}", whose, verdict, why)), "", "  ", kTerminalColumns);
+  return whose + " " + emphasised(stream, agree ? Emphasis::kGood : Emphasis::kBad, verdict) +
+         text.substr(whose.size() + 1 + verdict.size());
+}
+
+std::string test_words(const ConsistencyTest& test) {
+  return fmt::format(
+      "P = {:.2g} that chance gives differences as large (chi2 = {:.1f} for {} degrees of freedom)",
+      test.probability, test.chi2, test.degrees_of_freedom);
+}
+
+/// For several results: which one is the outlier.
+std::string outlier_lines(const ResultsComparison& comparison) {
+  const ConsistentSubset& found = *comparison.consistency;
+  if (found.agree(kAgreementLevel)) return {};
+  std::string words;
+  if (!found.found) {
+    words = "No majority of them agrees: which are right cannot be known from these results.";
+  } else {
+    std::vector<std::string> names;
+    for (const std::size_t i : found.outliers)
+      names.push_back(fmt::format("{} ({})", i + 1, printable_line(comparison.results[i].file)));
+    words = fmt::format("{}: {}. Without {} the other {} agree: {}. Means and E_n are those of the {}.",
+                        names.size() == 1 ? "Outlier" : "Outliers", fmt::join(names, ", "),
+                        names.size() == 1 ? "it" : "them", comparison.results.size() - names.size(),
+                        test_words(found.subset), comparison.results.size() - names.size());
+    if (found.alternatives > 0)
+      words += fmt::format(
+          " {} other choice{} of as many would agree too, with a larger chi2: more results are needed to be "
+          "sure.",
+          found.alternatives, found.alternatives == 1 ? "" : "s");
+  }
+  return wrapped(words, "  ", "  ", kTerminalColumns);
+}
+
 void verdicts(const ResultsComparison& comparison, std::FILE* stream, std::string& text) {
+  if (comparison.consistency) {
+    text += verdict_lines(fmt::format("{} results", comparison.results.size()), comparison.agree(),
+                          fmt::format("{}; required: at least {}", test_words(comparison.consistency->all),
+                                      kAgreementLevel),
+                          stream) +
+            outlier_lines(comparison);
+  }
   for (const PairComparison& pair : comparison.pairs) {
-    const std::string verdict = emphasised(stream, pair.agrees() ? Emphasis::kGood : Emphasis::kBad,
-                                           pair.agrees() ? "agree" : "do NOT agree");
-    text += fmt::format("1 and {} {}: {}\n", pair.second + 1, verdict, pair.why);
+    // With several results the pairs are no verdict, but for what no test of numbers shows.
+    if (comparison.consistency && (!pair.rotation || pair.rotation->same_handedness)) continue;
+    text += verdict_lines(fmt::format("{} and {}", pair.first + 1, pair.second + 1), pair.agrees(), pair.why,
+                          stream);
   }
 }
 
 void pair_table(const ResultsComparison& comparison, const PairComparison& pair, std::string& text) {
-  const ComparedResult& first = comparison.results.front();
+  const ComparedResult& first = comparison.results[pair.first];
   const ComparedResult& second = comparison.results[pair.second];
-  text += fmt::format("  {:<7} {:>26} {:>26} {:>26} {:>7} {:>7}  {}\n", "", "1",
+  text += fmt::format("  {:<7} {:>26} {:>26} {:>26} {:>7} {:>7}  {}\n", "", std::to_string(pair.first + 1),
                       std::to_string(pair.second + 1), "difference", "zeta", "E_n", "unit");
   for (std::size_t i = 0; i < 9; ++i) {
     const PropertyDifference& p = pair.intrinsic.properties[i];
@@ -75,8 +125,8 @@ void pair_table(const ResultsComparison& comparison, const PairComparison& pair,
 void mounting(const ResultsComparison& comparison, const PairComparison& pair, std::string& text) {
   if (!pair.rotation || !pair.rotation->same_handedness) return;
   const RotationBetween& rotation = *pair.rotation;
-  text += fmt::format("  from 1 to {} the accelerometer was turned by {} degree", pair.second + 1,
-                      with_u(rotation.angle_deg, rotation.angle_standard_uncertainty_deg));
+  text += fmt::format("  from {} to {} the accelerometer was turned by {} degree", pair.first + 1,
+                      pair.second + 1, with_u(rotation.angle_deg, rotation.angle_standard_uncertainty_deg));
   if (rotation.axis) {
     text += fmt::format(" about ({:+.4f}, {:+.4f}, {:+.4f}), a direction known to {:.2g} degree\n",
                         rotation.axis->x(), rotation.axis->y(), rotation.axis->z(),
@@ -141,6 +191,8 @@ void random_effects_table(const ResultsComparison& comparison, std::FILE* stream
   text +=
       "  between: what the stated uncertainties do not explain; what one stage does to all is not averaged "
       "down\n";
+  if (comparison.consistency && !comparison.consistency->outliers.empty())
+    text += "  the outliers are no part of the mean; their E_n is against it\n";
 }
 
 void anova_table(const ResultsComparison& comparison, std::FILE* stream, std::string& text) {
@@ -200,11 +252,11 @@ void chart_table(const ResultsComparison& comparison, std::FILE* stream, std::st
 
 std::string compare_text(const ResultsComparison& comparison, std::FILE* stream) {
   std::string text;
-  list_results(comparison, text);
-  text += "\n";
   verdicts(comparison, stream, text);
+  text += "\n";
+  list_results(comparison, text);
   for (const PairComparison& pair : comparison.pairs) {
-    text += heading(stream, fmt::format("1 beside {}", pair.second + 1));
+    text += heading(stream, fmt::format("{} and {}", pair.first + 1, pair.second + 1));
     pair_table(comparison, pair, text);
     mounting(comparison, pair, text);
   }

@@ -1,6 +1,7 @@
 #include "app/laboratory/compare/compared_result.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
@@ -12,6 +13,7 @@
 #include "app/results/estimates/load_record.h"
 #include "app/results/estimates/other_file.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/plan/run_config.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/sha256.h"
 
@@ -34,11 +36,13 @@ void describe_run(const StoredRun& run, ComparedResult& result) {
   result.item_serial_number = subject.serial_number;
   result.item = joined({subject.maker, subject.model, subject.serial_number});
   result.stage = subject.bench.stage;
+  result.stage_serial_number = subject.bench.stage_serial_number;
   if (run.state != RunState::kComplete)
     result.notes.push_back(fmt::format("the run is {}", to_string(run.state)));
 }
 
 void set_values(const CalibrationResult& calibration, ComparedResult& result) {
+  result.estimator = calibration.estimator;
   result.what = calibration.estimator + " estimator";
   result.unit_name = calibration.response_unit;
   result.unit = meaning_of_response_unit(calibration.response_unit);
@@ -62,6 +66,32 @@ void set_values(const CalibrationResult& calibration, ComparedResult& result) {
   }
   if (calibration.verdict == Verdict::kDoubtful)
     result.notes.push_back("its result is doubtful: " + calibration.why);
+}
+
+/// The nine intrinsic properties of the published formula take the place of those of the line response.
+void set_published(const PublishedResult& published, ComparedResult& result) {
+  IntrinsicValues type_a;
+  const auto take = [&](const std::array<Quantity, 3>& of, Eigen::Index first) {
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      const Quantity& quantity = of[static_cast<std::size_t>(j)];
+      result.values(first + j) = quantity.value;
+      type_a(first + j) = quantity.type_a.value_or(std::nan(""));
+    }
+  };
+  take(published.intrinsic_sensitivity, 0);
+  take(published.intrinsic_angle, 3);
+  take(published.offset, 6);
+  Eigen::Matrix3d matrix;
+  for (Eigen::Index j = 0; j < 3; ++j)
+    for (Eigen::Index k = 0; k < 3; ++k)
+      matrix(j, k) =
+          published.sensitivity_matrix[static_cast<std::size_t>(j)][static_cast<std::size_t>(k)].value;
+  result.matrix = matrix;
+  result.covariance = published.covariance_intrinsic;
+  result.output_covariance = published.covariance;
+  result.type_a = type_a.allFinite() ? std::optional(type_a) : std::nullopt;
+  result.published = true;
+  result.what += ", published formula";
 }
 
 /// Multiplies outputs by factors: sensitivities by one, offsets by another.
@@ -155,7 +185,7 @@ ComparedResult compared_item(const std::string& file, std::shared_ptr<const Anal
   take_result(item.results.front(), result);
   result.run = std::move(run);
   result.item_of_run = k;
-  if (result.what == "joint estimator" && !result.of_common_fit())
+  if (result.estimator == "joint" && !result.of_common_fit())
     result.notes.push_back("not in the common fit of its run: " + result.joint().why_not);
   result.record = item.stored.record;
   return result;
@@ -168,7 +198,7 @@ const TrayItemResult& ComparedResult::joint() const {
 }
 
 bool ComparedResult::of_common_fit() const {
-  return run && what == "joint estimator" && joint().in_common_fit;
+  return run && estimator == "joint" && joint().in_common_fit;
 }
 
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
@@ -204,6 +234,29 @@ std::vector<ComparedResult> load_compared(const std::vector<std::string>& names,
   return results;
 }
 
+void take_published_formula(std::vector<ComparedResult>& results) {
+  std::vector<std::string> problems;
+  for (ComparedResult& result : results) {
+    if (!result.run) {
+      if (!result.estimator.empty())
+        problems.push_back(fmt::format(
+            "{}: a certificate of the line response; required: the run that it certifies, or a certificate "
+            "of another program",
+            result.file));
+      continue;
+    }
+    const std::optional<PublishedResult>& published =
+        result.run->item(result.item_of_run).results.front().published;
+    if (!published) {
+      problems.push_back(fmt::format("{}: a result of the {} estimator; required: --estimator {}",
+                                     result.file, result.estimator, kPublishedEstimator));
+      continue;
+    }
+    set_published(*published, result);
+  }
+  if (!problems.empty()) throw CompareError("--published: " + fmt::format("{}", fmt::join(problems, "; ")));
+}
+
 std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& results) {
   std::vector<std::string> notes;
   const ComparedResult& first = results.front();
@@ -236,6 +289,13 @@ std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& re
   }
   for (ComparedResult& result : results) convert_response(first, result);
   return notes;
+}
+
+SameStage on_same_stage(const ComparedResult& first, const ComparedResult& second) {
+  if (first.run && first.run == second.run) return SameStage::kYes;
+  if (first.stage.empty() || second.stage.empty()) return SameStage::kUnknown;
+  if (first.stage != second.stage) return SameStage::kNo;
+  return first.stage_serial_number.empty() ? SameStage::kUnknown : SameStage::kYes;
 }
 
 std::array<std::string, 9> units_of_properties(const ComparedResult& result) {

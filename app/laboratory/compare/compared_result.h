@@ -22,10 +22,15 @@ struct ComparedResult {
   std::string file;  ///< Name as given.
   std::string kind;  ///< "run", "CSV", "certificate"
   std::string what;  ///< "abc estimator"; number of a certificate
-  std::string date;  ///< ISO 8601, of the measurement; empty: not known.
-  std::string item;  ///< Maker, model and serial number in words; empty: not known.
+  /// Estimator of a run or a CSV, or the one that a certificate of this program names; empty: another
+  /// program's certificate.
+  std::string estimator;
+  bool published = false;  ///< Values of the published formula, not of the line response.
+  std::string date;        ///< ISO 8601, of the measurement; empty: not known.
+  std::string item;        ///< Maker, model and serial number in words; empty: not known.
   std::string item_serial_number;
   std::string stage;                          ///< Model and serial number; empty: not known.
+  std::string stage_serial_number;            ///< Empty: not known; two stages of one model may be one.
   std::map<std::string, std::string> labels;  ///< Labels of a run: "operator.name", ...; to group by.
 
   std::string unit_name;  ///< Name of the unit of the response R.
@@ -60,6 +65,14 @@ struct ComparedResult {
   const TrayItemResult& joint() const;
 };
 
+/// Whether two results were measured on one stage.
+enum class SameStage {
+  kYes,      ///< Both name the same serial number, or are of one run.
+  kNo,       ///< They name different ones.
+  kUnknown,  ///< One of them does not name its stage, or only a model that both have.
+};
+SameStage on_same_stage(const ComparedResult& first, const ComparedResult& second);
+
 /// Results that cannot be compared: usage (exit code 2).
 class CompareError : public std::invalid_argument {
  public:
@@ -76,6 +89,13 @@ class CompareError : public std::invalid_argument {
 ///         and for an item that it does not have
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
                                           int item = 0);
+
+/// Takes the numbers of the published formula (Geist & Gaitan 2021, Eqs. 5 to 10) for every run and CSV, with
+/// the paper's own uncertainty: for comparison with ABC results of other laboratories. Certificates of other
+/// programs are taken as they are.
+/// @throws CompareError a result of another estimator than abc, and a certificate of this program, which has
+///         the line response alone; all of them at once
+void take_published_formula(std::vector<ComparedResult>& results);
 
 /// Brings all into the response unit of the first, and sensitivities per m/s2 where they were measured at
 /// different or by certificates; per g_loc where all were measured at the same one. The notes of a result

@@ -1,6 +1,7 @@
 #include "app/laboratory/compare/random_effects.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -50,22 +51,36 @@ double between_variance(const Eigen::VectorXd& values, const Eigen::MatrixXd& co
 
 }  // namespace
 
-RandomEffectsMean random_effects_mean(const std::vector<double>& values, const Eigen::MatrixXd& covariance) {
+RandomEffectsMean random_effects_mean(const std::vector<double>& values, const Eigen::MatrixXd& covariance,
+                                      const MeanOptions& options) {
   const auto n = static_cast<Eigen::Index>(values.size());
-  if (n < 2 || covariance.rows() != n || covariance.cols() != n)
+  std::vector<Eigen::Index> kept;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    if (std::ranges::find(options.left_out, static_cast<std::size_t>(i)) == options.left_out.end())
+      kept.push_back(i);
+  }
+  if (kept.size() < 2 || covariance.rows() != n || covariance.cols() != n)
     throw std::invalid_argument("a mean of random effects needs two results or more, and their covariance");
   const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(values.data(), n);
-  const double variance = between_variance(x, covariance);
-  const WeightedMean mean = weighted_mean(x, covariance + variance * Eigen::MatrixXd::Identity(n, n));
+  const Eigen::VectorXd x_kept = x(kept);
+  const Eigen::MatrixXd v = covariance(kept, kept);
+  const double variance = between_variance(x_kept, v);
+  const Eigen::MatrixXd own = variance * Eigen::MatrixXd::Identity(x_kept.size(), x_kept.size());
+  const WeightedMean mean = weighted_mean(x_kept, v + own);
   RandomEffectsMean result;
   result.mean = mean.mean;
-  result.standard_uncertainty = std::sqrt(mean.variance);
+  const Eigen::MatrixXd& largest =
+      options.largest_covariance.size() == 0 ? covariance : options.largest_covariance;
+  result.standard_uncertainty =
+      std::sqrt(mean.weights.dot((Eigen::MatrixXd(largest(kept, kept)) + own) * mean.weights));
   result.between = std::sqrt(variance);
   if (!std::isfinite(result.mean) || !std::isfinite(result.standard_uncertainty))
     throw std::runtime_error("the results have no finite mean");
   // The claims are judged by their own uncertainties, without the effects that they do not cover.
-  const Eigen::VectorXd with_mean = covariance * mean.weights;
-  const double of_mean = mean.weights.dot(with_mean);
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(n);
+  weights(kept) = mean.weights;
+  const Eigen::VectorXd with_mean = covariance * weights;
+  const double of_mean = weights.dot(with_mean);
   for (Eigen::Index i = 0; i < n; ++i) {
     const double u2 = covariance(i, i) - 2.0 * with_mean(i) + of_mean;
     const double difference = x(i) - mean.mean;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <vector>
 
 namespace abcal {
@@ -12,16 +13,26 @@ struct RandomEffectsMean {
   double mean = 0.0;
   double standard_uncertainty = 0.0;
   double between = 0.0;  ///< Standard deviation of the results' own effects; 0: uncertainties explain all.
-  std::vector<double>
-      normalised_error;  ///< E_n of each result against the mean, by its stated uncertainty (k = 2).
+  /// E_n of each result against the mean, by its stated uncertainty (k = 2); of a result that was left out of
+  /// the mean, too.
+  std::vector<double> normalised_error;
+};
+
+/// The results that make the mean, and what they may have in common.
+struct MeanOptions {
+  std::vector<std::size_t> left_out;  ///< Positions of results that are no part of the mean.
+  /// The covariance with the largest part that the results may have in common; empty: as `covariance`. The
+  /// uncertainty of the mean is that which it gives, so that what may be common is not averaged down.
+  Eigen::MatrixXd largest_covariance;
 };
 
 /// The generalised least-squares mean. `between` solves r' (V + between^2 I)^-1 r = n - 1, r being the
 /// residuals (Mandel and Paule for correlated results). E_n takes the covariance of a result with the mean
 /// into account.
-/// @param covariance  V of the results, positive definite
+/// @param covariance  V of the results, positive definite: what is known to be common, and nothing else
 /// @throws std::invalid_argument if it is not, or has another size; std::runtime_error if no finite mean
 /// follows
-RandomEffectsMean random_effects_mean(const std::vector<double>& values, const Eigen::MatrixXd& covariance);
+RandomEffectsMean random_effects_mean(const std::vector<double>& values, const Eigen::MatrixXd& covariance,
+                                      const MeanOptions& options = {});
 
 }  // namespace abcal

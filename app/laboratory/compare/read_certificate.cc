@@ -356,6 +356,21 @@ void fill_identity(const XmlQuery& certificate, ComparedResult& result) {
   result.what = certificate.text(core + "dcc:uniqueIdentifier");
 }
 
+/// The stage as it identified itself to the program that measured. Certificates of others do not say which
+/// equipment the stage is.
+void fill_stage(const XmlQuery& certificate, xmlNode* measurement, ComparedResult& result) {
+  constexpr const char* kStage =
+      "(dcc:measuringEquipments | ../dcc:measuringEquipments)"
+      "/dcc:measuringEquipment[contains(concat(' ', @refType, ' '), ' abc_stage ')]";
+  const std::vector<xmlNode*> found = certificate.nodes(kStage, measurement);
+  if (found.empty()) return;
+  result.stage = certificate.text("dcc:model", found.front());
+  result.stage_serial_number = certificate.text(
+      "dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value", found.front());
+  if (!result.stage_serial_number.empty())
+    result.stage += (result.stage.empty() ? "" : " ") + result.stage_serial_number;
+}
+
 void fill_gravity(const XmlQuery& certificate, xmlNode* measurement, ComparedResult& result) {
   constexpr const char* kGravity =
       "(dcc:influenceConditions | ../dcc:influenceConditions)"
@@ -404,6 +419,10 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
     for (xmlNode* list : certificate.nodes(kValues, measurement)) reader.read(list, numbers);
     read_correlations(certificate, measurement, numbers);
     fill_gravity(certificate, measurement, result);
+    fill_stage(certificate, measurement, result);
+    result.estimator = certificate.text(
+        "dcc:measurementMetaData/dcc:metaData[@refType='abc_estimator']/dcc:data/dcc:text/dcc:content",
+        measurement);
   }
   if (numbers.by_label.empty() && problems.empty()) {
     problems.push_back(

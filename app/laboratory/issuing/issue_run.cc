@@ -1,28 +1,51 @@
 #include "app/laboratory/issuing/issue_run.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
+#include <array>
 #include <stdexcept>
 #include <utility>
 
 #include "app/ground/evidence/time_stamp_authority.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/read_file.h"
+#include "app/ground/xml/xml_query.h"
+#include "app/ground/xml/xml_tree.h"
 #include "app/laboratory/certificate/certificate.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/certificate/signature_checks.h"
 #include "app/laboratory/certificate/signing_certificate.h"
+#include "app/laboratory/certificate/traceability.h"
 #include "app/laboratory/compare/check_chart.h"
+#include "app/laboratory/issuing/evidence_files.h"
 #include "app/laboratory/issuing/laboratory_link.h"
 #include "app/laboratory/issuing/run_evidence.h"
+#include "app/laboratory/issuing/run_sources.h"
 #include "app/results/estimates/load_record.h"
+#include "drivers/text/text.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
 namespace {
+
+/// @throws std::invalid_argument  if the certificate that is to be replaced is of another item of the run
+void require_replaced_of_this_item(const IssueAsked& asked) {
+  const auto count = static_cast<int>(items_of_file(asked.run));
+  const int certified = std::max(1, asked.item);
+  for (int item = 1; item <= count; ++item) {
+    if (item == certified) continue;
+    for (const IssuedCertificate& issued : ResultsFile::certificates(asked.run, item))
+      if (issued.number == asked.replaces)
+        throw std::invalid_argument(fmt::format(
+            "--replaces {}: is of item {}, another item of {}; required: a certificate of item {}, which is "
+            "to be certified",
+            asked.replaces, item, asked.run, certified));
+  }
+}
 
 IssueFacts facts_of(const IssueAsked& asked, const std::string& now_utc) {
   IssueFacts facts;
@@ -34,13 +57,84 @@ IssueFacts facts_of(const IssueAsked& asked, const std::string& now_utc) {
   if (!date || (!asked.date.empty() && asked.date.size() != 10))
     throw std::invalid_argument("--date " + asked.date + ": required: a date, 2026-03-01");
   facts.date = *date;
-  if (asked.replaces.empty() != asked.reason.empty())
-    throw std::invalid_argument("--replaces NUMBER and --reason TEXT go together");
+  if (asked.replaces.empty() != asked.reason.empty() || asked.replaces.empty() != asked.amendment.empty())
+    throw std::invalid_argument(
+        "--replaces NUMBER, --reason TEXT and --amendment administrative or technical go together");
   if (asked.replaces.empty()) return facts;
-  facts.replaces = Replacement{asked.replaces, asked.reason, {}};
-  for (const IssuedCertificate& issued : ResultsFile::certificates(asked.run, asked.item))
-    if (issued.number == asked.replaces) facts.replaces->sha256 = sha256_of(issued.xml);
+  require_replaced_of_this_item(asked);
+  facts.replaces = Replacement{asked.replaces, asked.reason, {}, amendment_kind_from(asked.amendment), {}};
   return facts;
+}
+
+/// @throws std::invalid_argument  if the certificate in `asked.replaced_xml` is of another item than the run
+void require_replaced_xml_of_item(const IssueAsked& asked, const std::string& xml, const ReportData& data) {
+  const XmlDocument document = parse_xml(xml, asked.replaced_xml);
+  const XmlQuery query(document.get());
+  const std::string item = "dcc:administrativeData/dcc:items/dcc:item/";
+  const std::array<std::string, 3> found{
+      query.text(item + "dcc:manufacturer/dcc:name/dcc:content"), query.text(item + "dcc:model"),
+      query.text(item + "dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value")};
+  const std::array<std::string, 3> certified{one_line(data.label("item.maker")),
+                                             one_line(data.label("item.model")),
+                                             one_line(data.label("item.serial_number"))};
+  if (found == certified) return;
+  throw std::invalid_argument(
+      fmt::format("--replaced {}: certificate {} is of {}, another item; required: one of {}, which is to be "
+                  "certified",
+                  asked.replaced_xml, asked.replaces, fmt::join(found, " "), fmt::join(certified, " ")));
+}
+
+/// The XML of the certificate that is replaced: kept with the run, or else given as a file.
+std::string xml_of_replaced(const IssueAsked& asked, Registered* registered, const ReportData& data) {
+  const std::vector<IssuedCertificate> kept = ResultsFile::certificates(asked.run, asked.item);
+  for (const IssuedCertificate& issued : kept)
+    if (issued.number == asked.replaces) return issued.xml;
+  if (!kept.empty())
+    throw std::runtime_error(
+        fmt::format("certificate {}: is not of this run, whose last is {}; required: --replaces {}",
+                    asked.replaces, kept.back().number, kept.back().number));
+  if (asked.replaced_xml.empty())
+    throw std::invalid_argument(
+        fmt::format("certificate {}: is not kept with {}; required: --replaced FILE, its XML, so that what "
+                    "the amendment changes can be listed",
+                    asked.replaces, asked.run));
+  std::string xml = read_file(asked.replaced_xml, kLargestXml);
+  const lab::RegisterEvidence evidence = evidence_of_certificate(asked.replaced_xml, xml);
+  if (evidence.certificate->number != asked.replaces)
+    throw std::invalid_argument(fmt::format("--replaced {}: is certificate {}; required: {}",
+                                            asked.replaced_xml, evidence.certificate->number,
+                                            asked.replaces));
+  require_replaced_xml_of_item(asked, xml, data);
+  if (registered == nullptr) return xml;
+  const auto status = registered->opened.status_of(asked.replaces);
+  if (!status || status->record.xml_sha256 != evidence.certificate->xml_sha256)
+    throw std::invalid_argument(fmt::format(
+        "--replaced {}: is not the certificate {} that the register knows; required: the XML with "
+        "SHA-256 {}",
+        asked.replaced_xml, asked.replaces, status ? status->record.xml_sha256 : "of the register"));
+  return xml;
+}
+
+/// Lists what an amendment changes. One that is administrative changes no result.
+void compare_with_replaced(const IssueAsked& asked, Registered* registered, Certificate& certificate) {
+  Replacement& replaced = *certificate.issue->replaces;
+  const std::string earlier = xml_of_replaced(asked, registered, certificate.run.data);
+  replaced.sha256 = sha256_of(earlier);
+  replaced.changed = changed_statements(earlier, checked_xml(certificate, nullptr));
+  if (asked.tell_changes) asked.tell_changes(replaced.changed);
+  if (replaced.kind != AmendmentKind::kAdministrative) return;
+  std::string technical;
+  std::size_t count = 0;
+  for (const ChangedStatement& one : replaced.changed) {
+    if (one.administrative) continue;
+    ++count;
+    technical += "\n  " + one.words();
+  }
+  if (count > 0)
+    throw std::runtime_error(fmt::format(
+        "an administrative amendment of certificate {} for the reason \"{}\" would change {} statement{} on "
+        "results or item; required: none, or --amendment technical, which lists them on the certificate:{}",
+        asked.replaces, asked.reason, count, count == 1 ? "" : "s", technical));
 }
 
 /// The persons of the register, which replace those of the laboratory file.
@@ -64,12 +158,22 @@ std::vector<ScopeLimit> scope_of(lab::Register& opened) {
   return scope;
 }
 
+/// A laboratory file of another laboratory than the register's is a problem of the file.
+void require_laboratory_of(const lab::RegisterFacts& facts, ReadLaboratoryFile& laboratory) {
+  const std::string& name = laboratory.file.laboratory.contact.name;
+  if (name.empty() || pieces::trimmed(name) == pieces::trimmed(facts.name)) return;
+  laboratory.problems.push_back(
+      {"[laboratory] name", fmt::format("\"{}\"", name),
+       fmt::format("\"{}\", the laboratory of the register: use its laboratory file", facts.name)});
+}
+
 void use_register(Registered& registered, CertificateRequest& request) {
   IssueFacts& facts = *request.issue;
   facts.number = "as the register gives it";
   facts.approved_by = registered.approver.name();
   facts.register_identity = registered.opened.facts().identity;
   facts.training = registered.opened.facts().training;
+  require_laboratory_of(registered.opened.facts(), request.laboratory);
   request.laboratory.file.persons = persons_of(registered.opened);
   request.laboratory.file.scope = scope_of(registered.opened);
 }
@@ -82,6 +186,9 @@ void record_issued(Registered& registered, const IssuedCertificate& issued, cons
                    std::vector<std::string>& warnings) {
   add(warnings, registered.opened.record_issued(registered.approver, issued.number, sha256_of(issued.xml),
                                                 issued.date, clock.utc_now()));
+  const CertificateFacts facts = certificate_facts(issued.number, issued.xml);
+  (void)registered.opened.tell_certificate(registered.approver, issued.number, facts.addressee,
+                                           facts.run_sha256s, clock.utc_now());
 }
 
 /// Completes an issue whose program ended after the certificate was kept with the run and before it was
@@ -117,6 +224,11 @@ void take_number(Registered& registered, Certificate& certificate, const Clock& 
   const BenchIdentity bench = subject_of(*data.run).bench;
   request.stage = bench.stage;
   request.bench = bench.name;
+  for (const ReportData* run : runs_of(certificate)) {
+    const std::vector<Equipment> kept = equipment_of_run(*run);
+    request.runs.push_back(run_record_of(run->path, run->sha256.value(), *run->run,
+                                         kept.empty() ? certificate.laboratory.equipment : kept));
+  }
   if (const auto& replaced = certificate.issue->replaces) {
     request.replaces = replaced->number;
     request.reason = replaced->reason;
@@ -160,19 +272,19 @@ void use_witness(Registered& registered) {
 }
 
 /// Evidence of the runs of a certificate, as `abcal verify` judges them.
-struct CertificateEvidence {
+struct EvidenceOfRuns {
   RunWitnessing witnessing;  ///< That of the calibration itself.
   std::string problems;      ///< Why it is not issued; empty: nothing is against it.
 };
 
-CertificateEvidence judge_runs(const IssueAsked& asked, Registered* registered) {
+EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
   std::vector<std::string> runs{asked.run};
   if (!asked.certificate.as_found.empty()) runs.push_back(asked.certificate.as_found);
   runs.insert(runs.end(), asked.certificate.temperature.begin(), asked.certificate.temperature.end());
   lab::Register* opened = registered == nullptr ? nullptr : &registered->opened;
   Trust trust;
   if (opened != nullptr) trust.keys = bench_keys(*opened);
-  CertificateEvidence of_all;
+  EvidenceOfRuns of_all;
   for (const std::string& run : runs) {
     if (!RunFile::looks_like_run_file(run) || !RunFile::is_closed(run))
       continue;  // make_certificate() says so.
@@ -200,7 +312,7 @@ CertificateEvidence judge_runs(const IssueAsked& asked, Registered* registered) 
 Certificate numbered_certificate(const IssueAsked& asked, Registered* registered, const Clock& clock,
                                  std::vector<std::string>& warnings) {
   const Clock::UtcTime now = clock.utc_now();
-  const CertificateEvidence evidence = judge_runs(asked, registered);
+  const EvidenceOfRuns evidence = judge_runs(asked, registered);
   CertificateRequest request;
   request.laboratory = read_laboratory_file(asked.certificate.laboratory);
   if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
@@ -214,6 +326,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   Certificate certificate = make_certificate(std::move(request));
   if (!evidence.problems.empty())
     throw std::runtime_error("`abcal verify` does not accept what is to be certified:" + evidence.problems);
+  if (certificate.issue->replaces) compare_with_replaced(asked, registered, certificate);
   end_orderly_at_signals();  // A certificate that has its number must be kept, registered and written.
   if (registered != nullptr) take_number(*registered, certificate, clock, warnings);
   return certificate;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -21,6 +22,11 @@ struct IssueAsked {
   std::string approved_by;       ///< Required without a register; unused with one.
   std::string date;              ///< "2026-03-01"; empty: today, UTC.
   std::string replaces, reason;  ///< The certificate that this one amends, and why; empty: none.
+  std::string amendment;         ///< "administrative" or "technical"; empty: `replaces` is empty.
+  /// XML file of the replaced certificate if it is of another run; empty: it is kept with this run.
+  std::string replaced_xml;
+  /// Called before the number is taken with every statement that an amendment changes; empty: nobody is told.
+  std::function<void(const std::vector<ChangedStatement>&)> tell_changes;
   /// Statement of the approver for a run that was not witnessed although the register requires it: why it is
   /// certified all the same. Printed on the certificate. Empty: such a run is refused.
   std::string not_witnessed;

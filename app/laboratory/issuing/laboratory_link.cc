@@ -2,16 +2,28 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <iterator>
 #include <memory>
 
 #include "app/ground/evidence/witness_client.h"
 #include "app/laboratory/compare/check_run_notice.h"
+#include "app/laboratory/issuing/run_sources.h"
 #include "app/laboratory/register/find_operator.h"
 
 namespace abcal {
+namespace {
+
+std::vector<std::string> notices_of_run(const EndedRun& run, const std::string& login) {
+  std::vector<std::string> notices = tell_register(run, login);
+  std::ranges::move(check_run_notices(run, login), std::back_inserter(notices));
+  return notices;
+}
+
+}  // namespace
 
 LaboratoryLink laboratory_link() {
-  return {find_operator, check_run_notices};
+  return {find_operator, notices_of_run};
 }
 
 lab::HeadWitness head_witness(const std::string& register_identity) {

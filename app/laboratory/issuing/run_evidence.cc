@@ -51,6 +51,10 @@ void compare_with_register(const std::filesystem::path& run, lab::Register& open
   const auto registered = opened.certificates_of(sha256_of_file(run));
   for (const lab::RegisterFinding& finding : lab::compare_with_run(registered, kept))
     checks.push_back({"register, " + finding.what, finding.good, finding.found});
+  // A run whose certificate was amended or withdrawn is as whole as before.
+  for (const lab::CertificateRecord& one : registered)
+    if (const auto status = opened.status_of(one.number))
+      checks.push_back({"register, status of certificate " + one.number, true, status->words()});
   for (const lab::RegisterFinding& finding : opened.verify())
     checks.push_back({"register, " + finding.what, finding.good, finding.found});
 }

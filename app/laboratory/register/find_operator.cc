@@ -35,7 +35,11 @@ nlohmann::ordered_json to_json(const lab::Equipment& equipment, const lab::Calib
 
 std::string calibrations_of(lab::Register& opened, const std::string& today) {
   nlohmann::ordered_json list = nlohmann::ordered_json::array();
-  const std::vector<lab::Calibration> calibrations = opened.calibrations();
+  std::vector<lab::Calibration> calibrations = opened.calibrations();
+  for (const lab::Withdrawal& withdrawn : opened.withdrawals())
+    std::erase_if(calibrations, [&](const lab::Calibration& one) {
+      return withdrawn.kind == lab::kCalibrationKind && withdrawn.name == one.certificate;
+    });
   for (const lab::Equipment& equipment : opened.equipment()) {
     if (!equipment.retired.empty()) continue;
     for (const lab::Calibration& calibration : calibrations)

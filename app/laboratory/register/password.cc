@@ -9,6 +9,8 @@
 namespace abcal::lab {
 namespace {
 
+constexpr std::size_t kShortest = 10;
+
 void start_sodium() {
   static const bool kStarted = sodium_init() >= 0;
   if (!kStarted) throw std::runtime_error("libsodium cannot be started: the system gives no random numbers");
@@ -56,8 +58,11 @@ std::string random_token() {
   return token;
 }
 
+std::string password_rule() {
+  return fmt::format("at least {} characters", kShortest);
+}
+
 std::string weakness_of(std::string_view password) {
-  constexpr std::size_t kShortest = 10;
   if (password.size() < kShortest)
     return fmt::format("it has {} characters; required: {}", password.size(), kShortest);
   return {};

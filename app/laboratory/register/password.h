@@ -28,4 +28,7 @@ std::string random_token();
 /// Why a password is refused; empty: it is not.
 std::string weakness_of(std::string_view password);
 
+/// The rule of a password: "at least 10 characters".
+std::string password_rule();
+
 }  // namespace abcal::lab

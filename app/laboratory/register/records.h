@@ -78,7 +78,7 @@ struct SigningKey {
 /// A certificate's number and its subject.
 struct CertificateRecord {
   std::string number;
-  std::string state;  ///< "reserved", "issued", "replaced"
+  std::string state;  ///< "reserved", "issued", "replaced", "withdrawn"
   std::string run_sha256, xml_sha256;
   std::string item;
   std::string measured_by, approved_by;
@@ -154,6 +154,90 @@ struct AuditEntry {
 struct AuditHead {
   std::int64_t entries = 0;  ///< Number of the entry, from 1.
   std::string sha256;        ///< SHA-256 over the entry and all before it, 64 hexadecimal digits.
+};
+
+/// A record that a run rests on. Its kind is open: "calibration" for a calibration of equipment.
+struct UsedSource {
+  std::string kind, name;     ///< "calibration", "EX-ANGLE-0815"
+  std::string serial_number;  ///< Serial number of the equipment; may be empty.
+  std::string role;           ///< For what it was used: "angle of the stage; wobble_urad".
+};
+inline constexpr const char* kCalibrationKind = "calibration";
+inline constexpr const char* kCertificateKind = "certificate";
+
+/// A run as the register knows it, with all that it rests on.
+struct RunRecord {
+  std::string run_sha256;
+  std::string file;  ///< Path when the register was told of it.
+  std::string item;  ///< Maker, model and serial number; of several items, each.
+  std::string date;  ///< UTC date of its end.
+  std::vector<UsedSource> sources;
+};
+
+/// To whom a certificate was issued, as the certificate says.
+struct Addressee {
+  std::string name, address, email;
+  std::string language;  ///< Language of the certificate, ISO 639-1.
+};
+
+/// A calibration, certificate or other record that no longer holds.
+struct Withdrawal {
+  std::string kind, name;
+  std::string reason;
+  std::string withdrawn_by, utc;
+
+  std::string date() const { return utc.substr(0, 10); }
+};
+
+/// State of a certificate, which says whether it may be relied on.
+struct CertificateStatus {
+  CertificateRecord record;
+  bool training = false;
+  std::string amended_by, amended_on;   ///< The certificate that replaces it, and its date; empty: none.
+  std::optional<Withdrawal> withdrawn;  ///< Withdrawal of the certificate itself.
+  /// Withdrawals of records that its runs rest on. The laboratory has to decide whether the certificate
+  /// holds.
+  std::vector<Withdrawal> sources_withdrawn;
+
+  /// Issued, not amended, not withdrawn.
+  bool is_valid() const { return record.state == "issued" && amended_by.empty() && !withdrawn; }
+  /// Valid, and nothing that it rests on was withdrawn.
+  bool holds() const { return is_valid() && sources_withdrawn.empty(); }
+  /// "valid", "amended", "withdrawn" or "not issued".
+  std::string_view word() const;
+  /// "withdrawn on 2026-03-01 because TEXT; amended by EX-2026-0007 on 2026-03-02"
+  std::string words() const;
+};
+
+/// A certificate of a run that rests on a record.
+struct AffectedCertificate {
+  CertificateRecord record;
+  std::optional<Addressee> addressee;  ///< Absent: the register was not told of it.
+};
+
+/// Everything that rests on a record.
+struct Affected {
+  bool is_known = false;                          ///< Whether the register has anything of this name.
+  std::vector<Withdrawal> withdrawn;              ///< Withdrawals of the records in question.
+  std::vector<RunRecord> runs;                    ///< By date, with the sources in question only.
+  std::vector<AffectedCertificate> certificates;  ///< By number.
+  /// Numbers of certificates of runs whose sources the register does not know: it cannot say whether these
+  /// are affected.
+  std::vector<std::string> unknown;
+};
+
+/// How long records of a kind are kept.
+struct RetentionRule {
+  std::string kind;  ///< "certificate", "run", "calibration"
+  int years = 0;
+  std::string set_by, utc;
+};
+
+/// A record whose time has passed.
+struct RetainedRecord {
+  std::string kind, name;
+  std::string since;  ///< The date from which its time counts.
+  std::string until;  ///< The last day for which the rule keeps it.
 };
 
 /// Facts about the register itself.

@@ -51,6 +51,8 @@ struct NumberRequest {
   std::string measured_by;
   std::string replaces, reason;        ///< Empty: the first certificate of its run.
   std::string stage = {}, bench = {};  ///< Instruments of the run; a block of either refuses the number.
+  /// The runs of the certificate with all that they rest on. A source that is withdrawn refuses the number.
+  std::vector<RunRecord> runs = {};
 };
 
 /// A number that was given to a certificate.
@@ -163,6 +165,34 @@ class Register {
   std::vector<CertificateRecord> certificates();
   std::vector<CertificateRecord> certificates_of(const std::string& run_sha256);
 
+  /// The certificate of a number; nothing if the register did not give it.
+  std::optional<CertificateStatus> status_of(const std::string& number);
+
+  // ---- What runs rest on, and what was withdrawn
+  /// Stores a run and what it rests on. What the register knows already stays; what is new is added.
+  /// @return whether anything was new
+  bool tell_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now);
+  /// Stores to whom a certificate was issued, and further runs that it is of, unless the register knows it.
+  /// @return whether anything was new
+  bool tell_certificate(const LoggedIn& by, const std::string& number, const Addressee& addressee,
+                        const std::vector<std::string>& run_sha256s, Clock::UtcTime now);
+  /// Withdraws a record, once. A certificate needs the right to approve, any other record that to operate.
+  /// @param kind  "calibration", "certificate", or the kind of a source that the register knows of a run
+  Withdrawal withdraw(const LoggedIn& by, const std::string& kind, const std::string& name,
+                      const std::string& reason, Clock::UtcTime now);
+  std::vector<Withdrawal> withdrawals();
+  /// Everything that rests on a record.
+  /// @param name  of a calibration or other source, of a certificate, or identity or serial number of
+  ///              equipment; nothing is affected by one that is not known
+  Affected affected_by(const std::string& name);
+
+  // ---- Retention
+  /// Sets for how long records of a kind are kept. @throws RegisterError for another kind, and for the audit
+  void set_retention(const LoggedIn& by, const std::string& kind, int years, Clock::UtcTime now);
+  std::vector<RetentionRule> retention();
+  /// Records whose time has passed. Nothing is deleted.
+  std::vector<RetainedRecord> past_retention(Clock::UtcTime now);
+
   // ---- Evidence
   std::vector<AuditEntry> audit();
   /// Whether the audit is complete, its times are in order, every row agrees with it, and every number was
@@ -220,6 +250,9 @@ class Register {
   /// The first part of reserve_number(), within a transaction. @return the number
   std::string give_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now);
   AuditHead head_of_number(const std::string& number);
+  std::vector<CertificateRecord> certificates_where(const char* column, const std::string& value);
+  /// The issued certificate that replaces one; empty: none does.
+  std::string successor_of(const std::string& number);
   void write_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
                     const std::string& issue_date, Clock::UtcTime now);
   /// A warning if the clock is before the last entry of a certificate; empty: it is not.
@@ -233,6 +266,11 @@ class Register {
   void require_new(const std::string& table, const std::string& key);
   void require_known(const std::string& table, const std::string& key);
   void require_not_blocked(const NumberRequest& request);
+  void require_not_withdrawn(const NumberRequest& request);
+  /// tell_run() within a transaction.
+  bool note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now);
+  /// Why a record cannot be withdrawn; throws.
+  void require_withdrawable(const std::string& kind, const std::string& name);
   void read_facts();
   /// A change in a transaction of its own.
   void change_alone(const Change& change, Clock::UtcTime now, const std::function<void()>& write);

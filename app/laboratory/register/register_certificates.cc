@@ -14,6 +14,7 @@ constexpr const char* kColumns =
     "utc, approval";
 constexpr std::size_t kColumnCount = 12;
 constexpr const char* kNumberGiven = "number given";
+constexpr const char* kWithdrawn = "withdrawn";
 
 CertificateRecord record_of(const Database::Row& row) {
   return {row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]};
@@ -29,14 +30,18 @@ std::vector<CertificateRecord> Register::certificates() {
   return list;
 }
 
-std::vector<CertificateRecord> Register::certificates_of(const std::string& run_sha256) {
+std::vector<CertificateRecord> Register::certificates_where(const char* column, const std::string& value) {
   std::vector<CertificateRecord> list;
   for (const auto& row : database_.query(
            kColumnCount,
-           fmt::format("select {} from certificate where run_sha256 = :run order by number", kColumns),
-           {{"run", run_sha256}}))
+           fmt::format("select {} from certificate where {} = :value order by number", kColumns, column),
+           {{"value", value}}))
     list.push_back(record_of(row));
   return list;
+}
+
+std::vector<CertificateRecord> Register::certificates_of(const std::string& run_sha256) {
+  return certificates_where("run_sha256", run_sha256);
 }
 
 bool Register::witness_head(std::vector<std::string>& warnings) {
@@ -83,8 +88,10 @@ ReservedNumber Register::reserve_number(const LoggedIn& by, const NumberRequest&
     if (const std::string why = clock_before_last_certificate(now); !why.empty())
       reserved.warnings.push_back(why);
     require_not_blocked(request);
+    require_not_withdrawn(request);
     reserved.number = give_number(by, request, now);
     reserved.head = head_of_number(reserved.number);
+    for (const RunRecord& run : request.runs) (void)note_run(by, run, now);
     transaction.commit();
   }
   if (is_answered) (void)witness_head(reserved.warnings);
@@ -104,6 +111,13 @@ std::string Register::clock_before_last_certificate(Clock::UtcTime now) {
       utc, rows[0][1], rows[0][0], rows[0][2]);
 }
 
+std::string Register::successor_of(const std::string& number) {
+  const auto rows = database_.query(
+      1, "select number from certificate where replaces = :number and state <> 'reserved' order by number",
+      {{"number", number}});
+  return rows.empty() ? std::string() : rows[0][0];
+}
+
 std::string Register::give_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now) {
   for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
     if (one.item != request.item) continue;  // It belongs to another item of the same run.
@@ -113,19 +127,29 @@ std::string Register::give_number(const LoggedIn& by, const NumberRequest& reque
       throw RegisterError(
           fmt::format("this run has certificate {} already; amend it with --replaces {} --reason TEXT",
                       one.number, one.number));
+    if (one.state == kWithdrawn && one.number != request.replaces && successor_of(one.number).empty())
+      throw RegisterError(
+          fmt::format("certificate {} of this run was withdrawn; a new one replaces it: --replaces {} "
+                      "--reason TEXT",
+                      one.number, one.number));
   }
   if (!request.replaces.empty()) {
     const auto replaced =
         database_.query(3, "select state, run_sha256, item from certificate where number = :number",
                         {{"number", request.replaces}});
-    if (replaced.empty() || replaced[0][0] != "issued")
+    if (replaced.empty() || (replaced[0][0] != "issued" && replaced[0][0] != kWithdrawn))
       throw RegisterError(fmt::format("certificate {}: is {}; required: an issued one to replace",
                                       request.replaces,
                                       replaced.empty() ? "not in the register" : replaced[0][0]));
-    if (replaced[0][1] == request.run_sha256 && replaced[0][2] != request.item)
+    if (const std::string successor = successor_of(request.replaces); !successor.empty())
       throw RegisterError(
-          fmt::format("certificate {}: is of {}, another item of this run; required: one of {}",
-                      request.replaces, replaced[0][2], request.item));
+          fmt::format("certificate {}: was withdrawn and is replaced by {}; required: --replaces {}",
+                      request.replaces, successor, successor));
+    if (replaced[0][2] != request.item)
+      throw RegisterError(fmt::format(
+          "certificate {}: is of {}, another item; required: one of {}, which is to be certified. A "
+          "certificate that names the wrong item is not replaced by one of another",
+          request.replaces, replaced[0][2], request.item));
   }
   const auto last =
       database_.query(1, "update counter set last = last + 1 where name = 'certificate' returning last");
@@ -176,11 +200,10 @@ void Register::write_issued(const LoggedIn& by, const std::string& number, const
                             const std::string& issue_date, Clock::UtcTime now) {
   DatabaseTransaction transaction(database_);
   lock_audit();
-  const auto rows = database_.query(
-      kColumnCount, fmt::format("select {} from certificate where number = :number", kColumns),
-      {{"number", number}});
-  if (rows.empty()) throw RegisterError(fmt::format("certificate {}: its number was not given here", number));
-  const CertificateRecord record = record_of(rows[0]);
+  const auto found = certificates_where("number", number);
+  if (found.empty())
+    throw RegisterError(fmt::format("certificate {}: its number was not given here", number));
+  const CertificateRecord& record = found.front();
   if (record.state != "reserved")
     throw RegisterError(fmt::format("certificate {}: is {} already", number, record.state));
   if (record.measured_by == by.name())
@@ -202,9 +225,12 @@ void Register::write_issued(const LoggedIn& by, const std::string& number, const
          {"number", number}});
   });
   if (!record.replaces.empty()) {
+    // One that was withdrawn stays so: its successor names it.
     change({by.name(), "certificate replaced", "certificate", record.replaces, record.reason}, now, [&] {
-      database_.execute("update certificate set state = 'replaced', utc = :utc where number = :number",
-                        {{"utc", utc}, {"number", record.replaces}});
+      database_.execute(
+          "update certificate set state = case state when 'withdrawn' then state else 'replaced' end,"
+          " utc = :utc where number = :number",
+          {{"utc", utc}, {"number", record.replaces}});
     });
   }
   transaction.commit();

@@ -20,6 +20,7 @@ struct Records {
   std::string today;
   std::vector<lab::Equipment> equipment;
   std::vector<lab::Calibration> calibrations;
+  std::vector<lab::Withdrawal> withdrawals;
 };
 
 Records read_records() {
@@ -30,7 +31,7 @@ Records read_records() {
   const Clock::UtcTime now = RealClock().utc_now();
   try {
     lab::Register opened = lab::Register::open(location, now);
-    return {format_utc(now).substr(0, 10), opened.equipment(), opened.calibrations()};
+    return {format_utc(now).substr(0, 10), opened.equipment(), opened.calibrations(), opened.withdrawals()};
   } catch (const lab::RegisterError& error) {
     throw RecordProblem(fmt::format("a record that cannot be read: {}", error.what()), "the register");
   }
@@ -52,6 +53,11 @@ RecordedValue find_value(const Records& records, const std::string& record, cons
                   calibration->issuer, calibration->performed, calibration->due);
   if (!calibration->holds_on(records.today))
     throw RecordProblem(words, fmt::format("a calibration that holds today, {}", records.today));
+  for (const lab::Withdrawal& one : records.withdrawals)
+    if (one.kind == lab::kCalibrationKind && one.name == record)
+      throw RecordProblem(
+          fmt::format("{}, which was withdrawn on {} because {}", words, one.date(), one.reason),
+          "a calibration that was not withdrawn");
   for (const lab::Equipment& one : records.equipment)
     if (one.identity == calibration->equipment && !one.retired.empty())
       throw RecordProblem(fmt::format("{}, which is retired since {}", words, one.retired),

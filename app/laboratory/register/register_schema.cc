@@ -79,6 +79,30 @@ constexpr std::array kStep4{
     "create table witnessed_head(entries integer primary key, line text not null, signature text not null)",
 };
 
+// The records that runs rest on, to whom certificates went, what was withdrawn, how long records are kept.
+constexpr std::array kStep5{
+    "create table known_run(run_sha256 text primary key, file text not null, item text not null,"
+    " date text not null, told_by text not null, utc text not null)",
+    "create table used_source(identity text primary key, run_sha256 text not null references known_run,"
+    " kind text not null, name text not null, serial_number text not null, role text not null)",
+    "create index used_source_by_name on used_source(name)",
+    "create index used_source_by_serial_number on used_source(serial_number)",
+    "create index used_source_of_run on used_source(run_sha256)",
+    "create index calibration_of_equipment on calibration(equipment)",
+    "create table certified_run(identity text primary key, certificate text not null references certificate,"
+    " run_sha256 text not null)",
+    "create index certified_run_by_run on certified_run(run_sha256)",
+    "create index certified_run_of_certificate on certified_run(certificate)",
+    "create index certificate_by_replaced on certificate(replaces)",
+    "create table addressee(certificate text primary key references certificate, name text not null,"
+    " address text not null, email text not null, language text not null)",
+    "create table withdrawal(identity text primary key, kind text not null, name text not null,"
+    " reason text not null, withdrawn_by text not null, utc text not null)",
+    "create index withdrawal_by_name on withdrawal(name)",
+    "create table retention(kind text primary key, years text not null, set_by text not null,"
+    " utc text not null)",
+};
+
 constexpr std::array<std::string_view, 3> kSchemaStep{"step", "utc", "program_version"};
 constexpr std::array<std::string_view, 6> kLaboratory{"id",   "identity",      "name",
                                                       "kind", "number_prefix", "created_utc"};
@@ -116,6 +140,15 @@ constexpr std::array<std::string_view, 7> kCheckRun{"identity", "check_standard"
 
 constexpr std::array<std::string_view, 3> kWitnessedHead{"entries", "line", "signature"};
 
+constexpr std::array<std::string_view, 6> kKnownRun{"run_sha256", "file", "item", "date", "told_by", "utc"};
+constexpr std::array<std::string_view, 6> kUsedSource{"identity", "run_sha256",    "kind",
+                                                      "name",     "serial_number", "role"};
+constexpr std::array<std::string_view, 3> kCertifiedRun{"identity", "certificate", "run_sha256"};
+constexpr std::array<std::string_view, 5> kAddressee{"certificate", "name", "address", "email", "language"};
+constexpr std::array<std::string_view, 6> kWithdrawal{"identity", "kind",         "name",
+                                                      "reason",   "withdrawn_by", "utc"};
+constexpr std::array<std::string_view, 4> kRetention{"kind", "years", "set_by", "utc"};
+
 // In an order in which rows that refer to others follow them.
 constexpr std::array kTables{
     TableDescription{"schema_step", kSchemaStep, "step"},
@@ -136,6 +169,12 @@ constexpr std::array kTables{
     TableDescription{"scope", kScope, "identity", 2},
     TableDescription{"check_run", kCheckRun, "check_standard, date, identity", 3},
     TableDescription{"witnessed_head", kWitnessedHead, "entries", 4},
+    TableDescription{"known_run", kKnownRun, "date, run_sha256", 5},
+    TableDescription{"used_source", kUsedSource, "identity", 5},
+    TableDescription{"certified_run", kCertifiedRun, "identity", 5},
+    TableDescription{"addressee", kAddressee, "certificate", 5},
+    TableDescription{"withdrawal", kWithdrawal, "utc, identity", 5},
+    TableDescription{"retention", kRetention, "kind", 5},
 };
 
 void note_step(Database& database, int step, const std::string& utc) {
@@ -181,6 +220,10 @@ void apply_schema_steps(Database& database, int database_step, const std::string
   if (database_step < 4 && to_step >= 4) {
     for (const char* statement : kStep4) database.execute(statement);
     note_step(database, 4, utc);
+  }
+  if (database_step < 5 && to_step >= 5) {
+    for (const char* statement : kStep5) database.execute(statement);
+    note_step(database, 5, utc);
   }
 }
 

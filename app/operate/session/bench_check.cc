@@ -122,15 +122,17 @@ class Checker {
         continue;
       }
       info_ = {};
-      all = check_one(*item.accelerometer, config_.item(item.k).accelerometer) && all;
+      all = check_one(*item.accelerometer, config_.item(item.k)) && all;
       identities_.items.push_back({item.k, info_, {}, {}});
     }
     of_item_.clear();
     return all;
   }
 
-  bool check_one(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
+  bool check_one(Accelerometer& accelerometer, const BenchItemConfig& item) {
+    const AccelerometerConfig& stated = item.accelerometer;
     const bool answers = attempt("accelerometer", [&] { check_accelerometer(accelerometer, stated); });
+    if (answers) attempt(std::string(kItemFinding), [&] { check_identity(item); });
     if (answers) attempt("readings at rest", [&] { check_at_rest(accelerometer, stated); });
     accelerometer.stop();
     return answers;
@@ -212,6 +214,19 @@ class Checker {
       add(Grade::kProblem, "response unit",
           fmt::format("its output is in {}, response_unit is {}", info.output_unit, unit),
           "set response_unit to the unit of the instrument, or remove it");
+  }
+
+  /// Compares what the instrument reports with [item].
+  void check_identity(const BenchItemConfig& item) {
+    require_item_as_stated("accelerometer", item, info_);
+    const ItemIdentityParts parts = identity_parts_of(item, info_);
+    std::string names;
+    for (const IdentityPart& part : parts)
+      names += fmt::format("{}{} {}", names.empty() ? "" : ", ", part.words,
+                           part.text().empty() ? "not known" : part.text());
+    const std::string sources = describe_sources(parts);
+    add(Grade::kGood, std::string(kItemFinding),
+        sources.empty() ? names : fmt::format("{}: {}", names, sources));
   }
 
   void check_at_rest(Accelerometer& accelerometer, const AccelerometerConfig& stated) {

@@ -23,6 +23,9 @@ struct Finding {
   std::string advice;  ///< Recommended action; empty: none.
 };
 
+/// Finding::what of the comparison of an item with what its instrument reports.
+inline constexpr std::string_view kItemFinding = "item";
+
 /// "good", "warning", "problem", "left out"
 std::string_view to_string(Finding::Grade grade);
 
@@ -34,9 +37,9 @@ struct CheckOptions {
   std::stop_token stop;  ///< Halts the stage and ends the check.
 };
 
-/// Talks to both instruments of a bench: identity, travel against the plan, speed, reference, readings at
-/// rest, rate, and (unless `no_motion`) a small turn of both axes, which shows whether signs and axes
-/// agree with gravity. The stage ends at zero, or halted.
+/// Talks to both instruments of a bench: identity, whether the item is the one of the bench file, travel
+/// against the plan, speed, reference, readings at rest, rate, and (unless `no_motion`) a small turn of both
+/// axes, which shows whether signs and axes agree with gravity. The stage ends at zero, or halted.
 /// @throws RunInterrupted; an instrument that fails is a finding.
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options);
 

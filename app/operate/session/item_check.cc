@@ -84,9 +84,11 @@ Finding judge_identity(const std::string& wanted, const std::string& reported, c
     finding.found += fmt::format(", as {} did before: it has not been changed", before.serial_number);
     finding.advice = fmt::format("mount and connect {}", wanted);
   } else {
-    finding.grade = Grade::kWarning;
+    finding.grade = Grade::kProblem;
     finding.found += fmt::format("; required: {}", wanted);
-    finding.advice = "compare its label with what is required, before it is started";
+    finding.advice =
+        fmt::format("connect {}, or enter {} as its serial number if the instrument that answers is the item",
+                    wanted, reported);
   }
   return finding;
 }
@@ -117,13 +119,24 @@ ItemCheck check_mounted_item(Bench& bench, const BenchConfig& config, const Item
   ItemCheck check;
   check.findings = check_bench(bench, config, {true, {}, stop});
   std::erase_if(check.findings, [](const Finding& finding) { return finding.what == "signs and axes"; });
-  if (!check.passed()) return check;  // After a problem nothing more is asked.
+  const bool is_other_item_only = std::ranges::all_of(check.findings, [](const Finding& finding) {
+    return finding.grade != Grade::kProblem || finding.what == kItemFinding;
+  });
+  if (!is_other_item_only) return check;  // After a problem nothing more is asked.
   try {
-    check.reported = bench.first().accelerometer->identify().serial_number;
+    const BenchItemConfig& item = config.items.front();
+    const IdentityPart serial_number =
+        identity_parts_of(item, bench.first().accelerometer->identify()).back();
+    check.reported = serial_number.reported;
     const std::vector<std::string> simulated = simulated_instruments(config);
-    check.findings.push_back(
-        judge_identity(config.items.front().item.serial_number, check.reported, before,
-                       std::find(simulated.begin(), simulated.end(), "accelerometer") != simulated.end()));
+    Finding identity =
+        judge_identity(item.item.serial_number, check.reported, before,
+                       std::find(simulated.begin(), simulated.end(), "accelerometer") != simulated.end());
+    // It says more of a wrong serial number than the comparison with the bench file.
+    if (identity.grade == Grade::kProblem)
+      std::erase_if(check.findings, [](const Finding& finding) { return finding.what == kItemFinding; });
+    check.findings.push_back(std::move(identity));
+    if (!check.passed()) return check;
     check.findings.push_back(check_mounting(bench, config, stop));
   } catch (const InstrumentError& error) {
     check.findings.push_back({Grade::kProblem, "mounting", error.what(), ""});

@@ -408,7 +408,9 @@ Identities MeasuringSession::identify_or_keep_recording(const StartRequest& requ
                                                         const OpenedBench& opened) {
   Bench& bench = opened_->bench;
   try {
-    return identify(bench, opened.config);
+    Identities identities = identify(bench, opened.config);
+    require_items_as_stated(opened.config, identities);
+    return identities;
   } catch (const InstrumentError& error) {
     if (!transcript_) throw;
     // Nothing was measured, but the recorded replies of the instruments are worth keeping.
@@ -531,6 +533,7 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
   OpenedBench& opened = is_open ? *opened_ : open(config, {});
   opened.registered = registered;
   if (!is_open) opened.identities = identify(opened.bench, opened.config);
+  require_items_as_stated(opened.config, opened.identities);
   if (!request.without_missing_items) require_all_items(opened.identities);
   for (const StoredRun& of_item : of_items) require_same_instruments(opened.identities, of_item);
   opened.plan = stored.header.plan;
@@ -692,6 +695,7 @@ MeasuredRun MeasuringSession::replay(const ReplayRequest& request) {
       recorded.header.plan.empty() || !recorded.header.items.front().registers.empty();
   opened.identities = identify(opened.bench, opened.config, asked_corrections);
   if (recorded.header.plan.empty()) {
+    require_items_as_stated(opened.config, opened.identities);
     throw std::runtime_error(fmt::format(
         "the recorded run ended before its first angle ({}), but in the replay both instruments "
         "were identified: this program interprets their answers differently from the one that recorded",

@@ -11,6 +11,8 @@
 #include <stop_token>
 #include <utility>
 
+#include "app/ground/bench_file/instrument_ports.h"
+#include "app/ground/bench_file/item_identity.h"
 #include "app/ground/bench_file/level_file.h"
 #include "app/ground/bench_file/not_real.h"
 #include "app/ground/system/version.h"
@@ -46,18 +48,27 @@ InstrumentIdentity identity(const ChamberInfo& info) {
       info.firmware, fmt::format("set points {:g} to {:g} degC", info.least_set_degc, info.most_set_degc)};
 }
 
+/// Whether an instrument measures voltages; its own calibration is then part of the traceability.
+bool reads_volts(const AccelerometerConfig& config, const AccelerometerInfo& info) {
+  return info.output_unit.ends_with("V") ||
+         find_in(driver_catalogue().accelerometers, config.driver).traits.reads_volts;
+}
+
 /// An item on the stage, as the bench file and its accelerometer name it.
 RunItem item_of(const BenchItemConfig& stated, const ItemIdentity& identified,
                 const AccelerometerInfo& info) {
-  const auto either = [](const std::string& by_file, const std::string& found) {
-    return by_file.empty() ? found : by_file;
+  const auto [maker, model, serial_number] = identity_parts_of(stated, info);
+  // A simulated accelerometer names itself where the bench file names no item; a voltmeter is not the item.
+  const auto either = [](const std::string& known, const std::string& found, bool is_item) {
+    return known.empty() && is_item ? found : known;
   };
+  const bool is_simulated = stated.accelerometer.driver == kSimulated;
   RunItem item;
   item.k = identified.k;
-  item.maker = either(stated.item.maker, info.maker);
-  item.model = either(stated.item.model, info.model);
-  item.serial_number = either(stated.item.serial_number, info.serial_number);
-  item.firmware = either(stated.item.firmware, info.firmware);
+  item.maker = either(maker.text(), info.maker, is_simulated);
+  item.model = either(model.text(), info.model, is_simulated);
+  item.serial_number = either(serial_number.text(), info.serial_number, is_simulated);
+  item.firmware = either(stated.item.firmware, info.firmware, !reads_volts(stated.accelerometer, info));
   item.driver = stated.accelerometer.driver;
   item.port = stated.accelerometer.port;
   item.mounting = stated.expected.mounting;
@@ -69,23 +80,25 @@ RunItem item_of(const BenchItemConfig& stated, const ItemIdentity& identified,
   return item;
 }
 
-std::map<std::string, std::string> item_labels(const ItemConfig& item) {
-  std::map<std::string, std::string> labels{{"item.maker", item.maker},
-                                            {"item.model", item.model},
-                                            {"item.serial_number", item.serial_number},
+/// The names that are stated of an item, and those that its instrument reports where nothing is stated.
+std::map<std::string, std::string> item_labels(const BenchItemConfig& stated, const AccelerometerInfo& info) {
+  const ItemConfig& item = stated.item;
+  const auto [maker, model, serial_number] = identity_parts_of(stated, info);
+  std::map<std::string, std::string> labels{{"item.maker", maker.text()},
+                                            {"item.model", model.text()},
+                                            {"item.serial_number", serial_number.text()},
                                             {"item.customer_number", item.customer_number},
                                             {"item.range", item.range},
                                             {"item.filter", item.filter},
                                             {"item.firmware", item.firmware},
-                                            {"item.supply", item.supply}};
+                                            {"item.supply", item.supply},
+                                            {"item.reference_surface", item.reference_surface},
+                                            {"item.direction_marks", item.direction_marks},
+                                            {"item.fasteners", item.fasteners},
+                                            {"item.cable", item.cable}};
+  if (item.torque_newton_metre) labels["item.torque"] = fmt::format("{:g} N m", *item.torque_newton_metre);
   std::erase_if(labels, [](const auto& each) { return each.second.empty(); });
   return labels;
-}
-
-/// Whether an instrument measures voltages; its own calibration is then part of the traceability.
-bool reads_volts(const AccelerometerConfig& config, const AccelerometerInfo& info) {
-  return info.output_unit.ends_with("V") ||
-         find_in(driver_catalogue().accelerometers, config.driver).traits.reads_volts;
 }
 
 /// Records the serial number that the bench file states for an instrument that reports none, as stated.
@@ -108,12 +121,13 @@ void add_items(const BenchConfig& config, const Identities& identities, RunHeade
       if (reads_volts(stated.accelerometer, info))
         note_stated_serial_number(stated.accelerometer.serial_number, header.instruments.back(), header);
     }
-    ItemFacts facts{item_labels(stated.item), info.output_unit, stated.tolerances, stated.limits,
+    ItemFacts facts{item_labels(stated, info), info.output_unit, stated.tolerances, stated.limits,
                     stated.expected};
     if (identified.k > 1) {
       header.further_items.push_back(std::move(facts));
       continue;
     }
+    header.labels.merge(facts.labels);
     header.response_unit = facts.response_unit;
     header.tolerances = facts.tolerances;
     header.limits = facts.limits;
@@ -217,6 +231,29 @@ void require_serial_number_of_accelerometer(const std::string& role, const Accel
   require(role, info.model, info.serial_number, config.serial_number);
 }
 
+ItemIdentityParts identity_parts_of(const BenchItemConfig& stated, const AccelerometerInfo& info) {
+  return identity_parts({stated.item.maker, stated.item.model, stated.item.serial_number},
+                        reported_by_item(stated.accelerometer.driver, info.output_unit,
+                                         {info.maker, info.model, info.serial_number}));
+}
+
+void require_item_as_stated(const std::string& role, const BenchItemConfig& stated,
+                            const AccelerometerInfo& info) {
+  std::string differences;
+  for (const IdentityPart& part : identity_parts_of(stated, info))
+    if (const std::string one = difference(part); !one.empty())
+      differences += (differences.empty() ? "" : "; ") + one;
+  if (!differences.empty())
+    throw InstrumentError(role + " " + info.model, Fault::kWrongIdentity, differences);
+}
+
+void require_items_as_stated(const BenchConfig& config, const Identities& identities) {
+  for (const ItemIdentity& item : identities.items)
+    if (item.is_present())
+      require_item_as_stated(item_words(config, item.k) + "accelerometer", config.item(item.k),
+                             item.accelerometer);
+}
+
 const ItemIdentity& Identities::first() const {
   const auto present = std::ranges::find_if(items, &ItemIdentity::is_present);
   return present == items.end() ? items.front() : *present;
@@ -261,7 +298,6 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   };
   label("bench.name", config.name);
   label("operator.name", config.operator_name);
-  for (const auto& [key, value] : item_labels(config.items.front().item)) label(key, value);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage)};
   note_stated_serial_number(config.stage.serial_number, header.instruments.front(), header);

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/bench_file/item_identity.h"
 #include "app/operate/bench/make_bench.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/rotation_stage.h"
@@ -67,6 +68,18 @@ void require_or_state_serial_number(const std::string& role, const std::string& 
 /// @throws InstrumentError kWrongIdentity
 void require_serial_number_of_accelerometer(const std::string& role, const AccelerometerConfig& config,
                                             const AccelerometerInfo& info);
+
+/// Maker, model and serial number of an item, by the bench file and by the instrument that answers.
+ItemIdentityParts identity_parts_of(const BenchItemConfig& stated, const AccelerometerInfo& info);
+
+/// Refuses an item whose maker, model or serial number, as its instrument reports it, is not that of [item].
+/// @param role  for messages: "item 2, accelerometer"
+/// @throws InstrumentError kWrongIdentity, with every difference
+void require_item_as_stated(const std::string& role, const BenchItemConfig& stated,
+                            const AccelerometerInfo& info);
+
+/// require_item_as_stated() for every item that is present.
+void require_items_as_stated(const BenchConfig& config, const Identities& identities);
 
 /// How long a plan takes on these instruments, in the time of the bench.
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const BenchConfig& config,

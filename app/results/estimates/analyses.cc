@@ -61,9 +61,9 @@ sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageT
 void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record, CalibrationResult& result) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   apply_checks(of_the_record, record, result);
-  if (std::string words = default_effects_words(record.tolerances); !words.empty())
+  if (std::string words = default_effects_words(record.tolerances, Advice::kNone); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
-  for (std::string& words : uncovered_effects_words(record.tolerances))
+  for (std::string& words : uncovered_effects_words(record.tolerances, Advice::kNone))
     result.diagnostics.notes.push_back(std::move(words));
   if (backlash_is_left(record) && find_estimator(result.estimator).needs_angles)
     result.diagnostics.notes.push_back(backlash_words(record.tolerances.zero));
@@ -214,8 +214,8 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const BenchC
     add(fmt::format("O_{}", names[j]), line.offset[static_cast<int>(j)], result.offset[j]);
   }
   comparison.text +=
-      fmt::format("  largest difference: {:.2f} standard uncertainties; {} {}: {}\n", comparison.largest,
-                  "required: at most", comparison.allowed, comparison.agrees() ? "agrees" : "DISAGREES");
+      fmt::format("  largest difference: {:.2f} standard uncertainties; at most {} allowed: {}\n",
+                  comparison.largest, comparison.allowed, comparison.agrees() ? "agrees" : "DISAGREES");
   return comparison;
 }
 

@@ -18,6 +18,16 @@
 
 namespace abcal {
 
+ItemIdentityParts identity_of(const ReportData& data) {
+  if (!data.run) return identity_parts(ItemNames{}, ItemNames{});
+  // Run files of before version 1.0 name the driver in their bench file only.
+  std::string driver = data.run->header.items.front().driver;
+  for (const RunItem& item : data.run->header.items)
+    if (item.k == data.item) driver = item.driver;
+  if (driver.empty() && data.bench) driver = data.bench->item(data.item).accelerometer.driver;
+  return identity_parts(data.run->header, driver);
+}
+
 bool measured_by_voltmeter(const ReportData& data) {
   if (data.record.response_unit.ends_with("V")) return true;
   if (!data.bench) return false;
@@ -113,6 +123,15 @@ void describe_bench(ReportData& data) {
   if (data.bench) data.simulated = instruments_not_real(data.run->header, *data.bench);
 }
 
+std::optional<HeldOutNorm> held_out(const RunRecord& record, const CalibrationResult& result) {
+  if (!result.joint) return std::nullopt;
+  JointOptions options;
+  options.measured_alignment = record.measured_alignment;
+  const HeldOutNorm norm = held_out_norm(record, options);
+  if (norm.folds == 0) return std::nullopt;
+  return norm;
+}
+
 ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   ReportData data;
   data.item = item.stored.item;
@@ -137,6 +156,7 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   if (const CalibrationResult& result = data.result();
       result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
     data.budget = make_budget(data.record, result);
+    data.held_out_norm = held_out(data.record, result);
     for (std::string& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(std::move(words));
   }
   return data;

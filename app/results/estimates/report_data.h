@@ -8,9 +8,11 @@
 #include <vector>
 
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/bench_file/item_identity.h"
 #include "app/results/estimates/analyses.h"
 #include "app/results/estimates/estimators.h"
 #include "drivers/instrument/clock.h"
+#include "protocol/estimators/joint/held_out_norm.h"
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_record.h"
@@ -35,7 +37,9 @@ struct ReportData {
   std::shared_ptr<const AnalysedRun> all;      ///< All items of the run, this one among them.
   std::vector<CalibrationResult> results;      ///< One for each estimator; a refusal is a result too.
   std::string estimator{kPublishedEstimator};  ///< Estimator of the reported result.
-  std::optional<Budget> budget;                ///< Budget of the reported result; absent: it has no matrix.
+  /// |a| on poses that the fit did not see; absent: the reported result is not a joint one, or has no folds.
+  std::optional<HeldOutNorm> held_out_norm;
+  std::optional<Budget> budget;  ///< Budget of the reported result; absent: it has no matrix.
   /// SHA-256 of the raw data: of the run file, or of the CSV. Absent while a run is not complete, since its
   /// file still changes.
   std::optional<std::string> sha256;
@@ -57,6 +61,9 @@ struct ReportData {
   /// From standstill to the first reading used: the least and the most of all angles of a run, in seconds.
   std::pair<double, double> settle_times_s() const;
 };
+
+/// Maker, model and serial number of the item as they were stated and read. A CSV has none.
+ItemIdentityParts identity_of(const ReportData& data);
 
 /// Whether a voltmeter read the item's outputs: its calibration is part of the traceability.
 bool measured_by_voltmeter(const ReportData& data);

@@ -104,6 +104,8 @@ Json diagnostics(const Diagnostics& d) {
           {"chi2", json_number(d.chi2)},
           {"degrees_of_freedom", d.degrees_of_freedom},
           {"chi2_probability", json_number(d.chi2_probability)},
+          {"low_chi2_probability", json_number(d.low_chi2_probability)},
+          {"sizes_too_large", json_number(d.sizes_too_large)},
           {"reciprocal_condition", json_number(d.reciprocal_condition)},
           {"rank", d.rank},
           {"angles_used", d.angles_used},
@@ -137,6 +139,22 @@ Json effects_json(const std::vector<EffectTest>& effects) {
   return list;
 }
 
+/// The numbers of the paper's own formula, for comparison with other laboratories' ABC results.
+Json published_json(const PublishedResult& published) {
+  Json json;
+  json["formula"] = "Geist & Gaitan 2021, Eqs. 5 to 10, not corrected for k2 and k3";
+  json["type_b_effects"] = {"alignment_deg", "initial_turn_deg", "zero_deg", "step_deg"};
+  Json rows = Json::array();
+  for (const auto& row : published.sensitivity_matrix) rows.push_back(output_quantities(row));
+  json["sensitivity_matrix"] = std::move(rows);
+  json["offset"] = output_quantities(published.offset);
+  json["intrinsic_sensitivity"] = output_quantities(published.intrinsic_sensitivity);
+  json["intrinsic_angle"] = output_quantities(published.intrinsic_angle);
+  json["covariance"] = matrix(std::optional(published.covariance));
+  json["covariance_intrinsic"] = matrix(std::optional(published.covariance_intrinsic));
+  return json;
+}
+
 }  // namespace
 
 nlohmann::ordered_json json_number(const std::optional<double>& value) {
@@ -167,6 +185,7 @@ Json result_json(const CalibrationResult& result) {
   json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
   json["diagnostics"] = diagnostics(result.diagnostics);
   json["default_effects"] = result.unstated_effects;
+  if (result.published) json["published"] = published_json(*result.published);
   if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {
     const JointResult& joint = *result.joint;

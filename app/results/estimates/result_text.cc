@@ -7,9 +7,11 @@
 #include <cmath>
 #include <vector>
 
+#include "app/ground/document/number_text.h"
 #include "app/ground/system/terminal.h"
 #include "app/results/estimates/coverage_words.h"
 #include "app/results/estimates/estimators.h"
+#include "app/results/estimates/published_text.h"
 #include "app/results/estimates/report_data.h"
 
 namespace abcal {
@@ -26,8 +28,8 @@ std::string with_decimals(double value, int decimals, bool with_sign) {
     const double unit = std::pow(10.0, -decimals);
     shown = std::round(value / unit) * unit;
   }
-  return with_sign ? fmt::format("{:+.{}f}", shown, std::max(0, decimals))
-                   : fmt::format("{:.{}f}", shown, std::max(0, decimals));
+  return without_negative_zero(with_sign ? fmt::format("{:+.{}f}", shown, std::max(0, decimals))
+                                         : fmt::format("{:.{}f}", shown, std::max(0, decimals)));
 }
 
 namespace {
@@ -249,6 +251,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
                         result.g_loc_source.empty() ? "source not stated" : result.g_loc_source);
   }
   add_outputs(text, result, stream);
+  if (result.published) text += published_text(*result.published);
   if (result.model_equation) add_model_equation(text, *result.model_equation);
   if (result.joint) stage_errors(text, *result.joint);
   if (result.norm) add_poses(text, *result.norm);

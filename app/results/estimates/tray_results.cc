@@ -224,17 +224,4 @@ Json analysis_json(const AnalysedRun& run) {
   return run.items.size() > 1 ? tray_json(run) : result_json(run.items.front().results.front());
 }
 
-std::string analysis_text(const AnalysedRun& run, std::FILE* stream) {
-  return run.items.size() > 1 ? tray_text(run, stream) : item_text(run.items.front(), stream);
-}
-
-std::string item_text(const AnalysedItem& item, std::FILE* stream) {
-  const CalibrationResult& result = item.results.front();
-  std::string text = result_text(result, stream);
-  if (item.results.size() > 1)
-    text += fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, "Estimators side by side"),
-                        comparison_text(item.results, result.estimator));
-  return text;
-}
-
 }  // namespace abcal

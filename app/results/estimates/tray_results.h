@@ -22,9 +22,5 @@ std::string tray_text(const AnalysedRun& run, std::FILE* stream);
 /// JSON that a command prints for a run: abcal.result/1 with the first result of a single item; abcal.tray/1
 /// for several.
 nlohmann::ordered_json analysis_json(const AnalysedRun& run);
-/// As analysis_json(), as text; for a single item with all its estimators side by side.
-std::string analysis_text(const AnalysedRun& run, std::FILE* stream);
-/// One item in full: its first result, and if it has several, all estimators side by side.
-std::string item_text(const AnalysedItem& item, std::FILE* stream);
 
 }  // namespace abcal

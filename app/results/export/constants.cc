@@ -14,57 +14,44 @@
 namespace abcal {
 namespace {
 
-/// The nine numbers that a frame's matrix is made of: s, phi for the item's; s row by row for the platter's.
+/// The numbers that M and b are made of: s row by row in the axes of a frame (R/g_loc), and the offsets (R).
 struct Inputs {
-  Eigen::Matrix<double, 9, 1> value;
-  Eigen::Matrix<double, 9, 9> covariance;
+  Eigen::Matrix3d S;
+  Covariance12 covariance;
 };
 
-Eigen::Matrix3d matrix_of(ExportFrame frame, const Eigen::Matrix<double, 9, 1>& x) {
-  if (frame == ExportFrame::kItem) return sensitivity_in_own_axes(x.head<3>(), x.segment<3>(3));
-  return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(x.data());
+/// Derivatives of the sensitivity in the item's own axes, row by row, by s_u, s_v, s_w, phi_uv, phi_vw,
+/// phi_wu.
+Eigen::Matrix<double, 9, 6> derivatives_in_own_axes(const Eigen::Matrix<double, 6, 1>& value) {
+  Eigen::Matrix<double, 9, 6> derivatives;
+  for (Eigen::Index i = 0; i < 6; ++i) {
+    Eigen::Matrix<double, 6, 1> up = value, down = value;
+    const double step = 1e-6 * std::max(1.0, std::abs(value[i]));
+    up[i] += step;
+    down[i] -= step;
+    const Eigen::Matrix3d difference = (sensitivity_in_own_axes(up.head<3>(), up.tail<3>()) -
+                                        sensitivity_in_own_axes(down.head<3>(), down.tail<3>())) /
+                                       (2.0 * step);
+    for (Eigen::Index k = 0; k < 9; ++k) derivatives(k, i) = difference(k / 3, k % 3);
+  }
+  return derivatives;
 }
 
 Inputs inputs_of(const CalibrationResult& result, ExportFrame frame) {
-  Inputs inputs;
   if (frame == ExportFrame::kItem) {
-    inputs.value = intrinsic_values(result);
     if (!result.covariance_intrinsic) throw std::invalid_argument("the result has no covariance");
-    inputs.covariance = *result.covariance_intrinsic;
-    return inputs;
+    const Eigen::Matrix<double, 6, 1> own = intrinsic_values(result).head<6>();
+    Eigen::Matrix<double, 12, 9> derivatives = Eigen::Matrix<double, 12, 9>::Zero();
+    derivatives.topLeftCorner<9, 6>() = derivatives_in_own_axes(own);
+    derivatives.bottomRightCorner<3, 3>().setIdentity();
+    return {sensitivity_in_own_axes(own.head<3>(), own.tail<3>()),
+            derivatives * *result.covariance_intrinsic * derivatives.transpose()};
   }
   if (!result.sensitivity_matrix || !result.covariance) {
     throw std::invalid_argument(fmt::format(
         "the {} estimator knows no platter; required: --frame item, or another estimator", result.estimator));
   }
-  const Eigen::Matrix3d s = result.sensitivity_values();
-  for (Eigen::Index k = 0; k < 9; ++k) inputs.value[k] = s(k / 3, k % 3);
-  inputs.covariance = result.covariance->topLeftCorner<9, 9>();
-  return inputs;
-}
-
-Eigen::Matrix3d inverse_of(const Eigen::Matrix3d& S) {
-  return S.partialPivLu().solve(Eigen::Matrix3d::Identity());
-}
-
-/// Standard uncertainties of the elements of g S^-1, to first order: dM = -M dS M / g.
-Eigen::Matrix3d uncertainty_of_inverse(ExportFrame frame, const Inputs& inputs, double g) {
-  const int used = frame == ExportFrame::kItem ? 6 : 9;
-  Eigen::Matrix<double, 9, 9> by_input = Eigen::Matrix<double, 9, 9>::Zero();
-  for (int i = 0; i < used; ++i) {
-    Eigen::Matrix<double, 9, 1> up = inputs.value, down = inputs.value;
-    const double step = 1e-6 * std::max(1.0, std::abs(inputs.value[i]));
-    up[i] += step;
-    down[i] -= step;
-    const Eigen::Matrix3d difference =
-        g * (inverse_of(matrix_of(frame, up)) - inverse_of(matrix_of(frame, down))) / (2.0 * step);
-    for (Eigen::Index k = 0; k < 9; ++k) by_input(k, i) = difference(k / 3, k % 3);
-  }
-  const Eigen::Matrix<double, 9, 1> variance =
-      (by_input * inputs.covariance * by_input.transpose()).diagonal();
-  Eigen::Matrix3d u;
-  for (Eigen::Index k = 0; k < 9; ++k) u(k / 3, k % 3) = std::sqrt(std::max(0.0, variance[k]));
-  return u;
+  return {result.sensitivity_values(), *result.covariance};
 }
 
 }  // namespace
@@ -80,6 +67,36 @@ Eigen::Matrix3d sensitivity_in_own_axes(const Eigen::Vector3d& sensitivity,
   if (directions.info() != Eigen::Success)
     throw std::invalid_argument("the axes of the accelerometers lie in one plane");
   return sensitivity.asDiagonal() * Eigen::Matrix3d(directions.matrixL());
+}
+
+CorrectionMatrix correction_matrix(const Eigen::Matrix3d& S, double g_loc_mps2) {
+  const Eigen::PartialPivLU<Eigen::Matrix3d> solver(S);
+  constexpr double kLeastCondition = 1e-12;  // Below it the elements of M have no digits left.
+  if (!(solver.rcond() > kLeastCondition))
+    throw std::invalid_argument(fmt::format(
+        "the sensitivity matrix is singular (reciprocal condition {:.1e}), so that the outputs do "
+        "not determine an acceleration",
+        solver.rcond()));
+  CorrectionMatrix correction;
+  correction.M = g_loc_mps2 * solver.solve(Eigen::Matrix3d::Identity());
+  const Eigen::Matrix3d& M = correction.M;
+  // dM = -M dS M / g_loc
+  for (Eigen::Index row = 0; row < 9; ++row) {
+    for (Eigen::Index of = 0; of < 9; ++of)
+      correction.derivatives(row, of) = -M(row / 3, of / 3) * M(of % 3, row % 3) / g_loc_mps2;
+    correction.derivatives(row, 9) = M(row / 3, row % 3) / g_loc_mps2;
+  }
+  return correction;
+}
+
+Eigen::Matrix3d CorrectionConstants::u_M() const {
+  return Eigen::Matrix3d::NullaryExpr([&](Eigen::Index i, Eigen::Index j) {
+    return std::sqrt(std::max(0.0, covariance(3 * i + j, 3 * i + j)));
+  });
+}
+
+Eigen::Vector3d CorrectionConstants::u_b() const {
+  return covariance.diagonal().tail<3>().cwiseMax(0.0).cwiseSqrt();
 }
 
 Eigen::Matrix3d CorrectionConstants::matrix_si() const {
@@ -123,12 +140,17 @@ CorrectionConstants constants_of(const CalibrationResult& result, ExportFrame fr
   constants.unit_mps2 = acceleration_unit_mps2(result.response_unit);
   constants.g_loc_mps2 = result.g_loc.value;
   const Inputs inputs = inputs_of(result, frame);
-  const Eigen::Matrix3d S = matrix_of(frame, inputs.value);
-  constants.M = inverse_of(S) * result.g_loc.value;
-  constants.u_M = uncertainty_of_inverse(frame, inputs, result.g_loc.value);
+  const CorrectionMatrix correction = correction_matrix(inputs.S, result.g_loc.value);
+  constants.M = correction.M;
   constants.b = result.offset_values();
-  for (std::size_t j = 0; j < 3; ++j)
-    constants.u_b[static_cast<Eigen::Index>(j)] = result.offset[j].standard_uncertainty;
+  Covariance12 derivatives = Covariance12::Zero();
+  derivatives.topLeftCorner<9, 9>() = correction.derivatives.leftCols<9>();
+  derivatives.bottomRightCorner<3, 3>().setIdentity();
+  constants.covariance = derivatives * inputs.covariance * derivatives.transpose();
+  if (const double u = result.g_loc.standard_uncertainty; std::isfinite(u)) {
+    const Eigen::Matrix<double, 9, 1> by_gravity = u * correction.derivatives.col(9);
+    constants.covariance.topLeftCorner<9, 9>() += by_gravity * by_gravity.transpose();
+  }
   constants.source = fmt::format("{}, {} estimator", result.source, result.estimator);
   constants.verdict = to_string(result.verdict);
   return constants;

@@ -22,12 +22,23 @@ struct ReadingNoise {
   double tau_s = 0.0;  ///< Averaging time of the Allan deviation that it comes from.
 };
 
+/// M = g_loc S^-1 of a = M (r - b), with its derivatives.
+struct CorrectionMatrix {
+  Eigen::Matrix3d M;  ///< m/s2 per response unit
+  /// Rows: M row by row. Columns: S row by row (R/g_loc), g_loc (m/s2).
+  Eigen::Matrix<double, 9, 10> derivatives;
+};
+
+/// @param S  sensitivity, R/g_loc  @param g_loc_mps2  local gravity
+/// @throws std::invalid_argument  outputs that do not determine an acceleration: S is singular
+CorrectionMatrix correction_matrix(const Eigen::Matrix3d& S, double g_loc_mps2);
+
 /// Constants that turn readings into accelerations: a = M (r - b).
 struct CorrectionConstants {
   Eigen::Matrix3d M = Eigen::Matrix3d::Identity();  ///< m/s2 per response unit
   Eigen::Vector3d b = Eigen::Vector3d::Zero();      ///< Response unit
-  Eigen::Matrix3d u_M = Eigen::Matrix3d::Zero();    ///< Standard uncertainties of the elements of M.
-  Eigen::Vector3d u_b = Eigen::Vector3d::Zero();
+  /// Covariance of the elements of M, row by row, and of b; the uncertainty of local gravity is part of it.
+  Covariance12 covariance = Covariance12::Zero();
   std::string response_unit;
   /// One response unit of the instrument in m/s2; absent: its output is no acceleration (V, LSB).
   std::optional<double> unit_mps2;
@@ -42,6 +53,9 @@ struct CorrectionConstants {
   std::string performed;  ///< UTC; empty: not known.
   std::string verdict;    ///< "usable"
 
+  /// Standard uncertainties of the elements of M, and of b.
+  Eigen::Matrix3d u_M() const;
+  Eigen::Vector3d u_b() const;
   /// M and b for a reader of m/s2: dimensionless and m/s2.
   /// @throws std::invalid_argument where the output is no acceleration
   Eigen::Matrix3d matrix_si() const;

@@ -61,8 +61,15 @@ std::string as_json(const CorrectionConstants& c) {
       {"response_unit", c.response_unit},
       {"g_loc_mps2", c.g_loc_mps2},
       {"M",
-       {{"value", rows(c.M)}, {"standard_uncertainty", rows(c.u_M)}, {"unit", "m/s2 per response unit"}}},
-      {"b", {{"value", list(c.b)}, {"standard_uncertainty", list(c.u_b)}, {"unit", "response unit"}}}};
+       {{"value", rows(c.M)}, {"standard_uncertainty", rows(c.u_M())}, {"unit", "m/s2 per response unit"}}},
+      {"b", {{"value", list(c.b)}, {"standard_uncertainty", list(c.u_b())}, {"unit", "response unit"}}}};
+  Json names = Json::array(), covariance = Json::array();
+  for (const char axis : std::string_view("xyz"))
+    for (const char output : std::string_view("uvw")) names.push_back(fmt::format("M_{}{}", axis, output));
+  for (const char output : std::string_view("uvw")) names.push_back(fmt::format("b_{}", output));
+  for (const auto& row : c.covariance.rowwise())
+    covariance.push_back(std::vector<double>(row.begin(), row.end()));
+  json["covariance"] = {{"of", std::move(names)}, {"value", std::move(covariance)}};
   if (c.noise) {
     json["noise"] = {{"density", c.noise->density},
                      {"unit", "response unit per root hertz"},
@@ -80,11 +87,11 @@ std::string as_csv(const CorrectionConstants& c) {
   for (Eigen::Index j = 0; j < 3; ++j) {
     for (Eigen::Index k = 0; k < 3; ++k) {
       text += fmt::format("M_{}{},{},{}\n", kAxes[static_cast<std::size_t>(j)],
-                          kOutputs[static_cast<std::size_t>(k)], c.M(j, k), c.u_M(j, k));
+                          kOutputs[static_cast<std::size_t>(k)], c.M(j, k), c.u_M()(j, k));
     }
   }
   for (Eigen::Index j = 0; j < 3; ++j)
-    text += fmt::format("b_{},{},{}\n", kOutputs[static_cast<std::size_t>(j)], c.b[j], c.u_b[j]);
+    text += fmt::format("b_{},{},{}\n", kOutputs[static_cast<std::size_t>(j)], c.b[j], c.u_b()[j]);
   return text;
 }
 

@@ -1,19 +1,27 @@
 #include "app/results/report/calibration_document.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <cmath>
 #include <optional>
 #include <set>
 
+#include "app/ground/document/number_text.h"
 #include "app/ground/system/progress.h"
+#include "app/results/estimates/budget_words.h"
 #include "app/results/estimates/coverage_words.h"
+#include "app/results/estimates/effect_words.h"
+#include "app/results/estimates/held_out_words.h"
 #include "app/results/estimates/result_text.h"
 #include "app/results/estimates/tray_results.h"
+#include "app/results/report/first_page.h"
 #include "app/results/report/run_figures.h"
 #include "protocol/estimators/checks/check_poses.h"
+#include "protocol/plan/limits.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -29,7 +37,7 @@ std::string or_not_stated(const std::string& text) {
 }
 
 std::string formatted(double value, const char* format = "{:.6g}") {
-  return std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : kNone;
+  return std::isfinite(value) ? without_negative_zero(fmt::format(fmt::runtime(format), value)) : kNone;
 }
 std::string formatted(const std::optional<double>& value, const char* format = "{:.6g}") {
   return value ? formatted(*value, format) : kNone;
@@ -44,6 +52,11 @@ std::string to_the_second(const std::string& utc) {
   return utc.size() < 19 ? utc : utc.substr(0, 10) + " " + utc.substr(11, 8) + " UTC";
 }
 
+std::string capitalised(std::string text) {
+  if (!text.empty()) text.front() = static_cast<char>(std::toupper(static_cast<unsigned char>(text.front())));
+  return text;
+}
+
 // --- Item, bench and operator ------------------------------------------------------------------------------
 
 Section item_section(const ReportData& data) {
@@ -55,17 +68,27 @@ Section item_section(const ReportData& data) {
                                data.path.filename().string())}};
     return {"Item", {facts}};
   }
-  for (const auto& [name, key] : {std::pair{"Maker", "item.maker"},
-                                  {"Model", "item.model"},
-                                  {"Serial number", "item.serial_number"},
-                                  {"Range", "item.range"},
-                                  {"Filter", "item.filter"},
-                                  {"Firmware", "item.firmware"},
-                                  {"Supply", "item.supply"}}) {
-    facts.facts.emplace_back(name, or_not_stated(data.label(key)));
+  for (const IdentityPart& part : identity_of(data)) {
+    std::string text = or_not_stated(part.stated);
+    if (part.known_by() == KnownBy::kStated) text += " (stated, not read)";
+    if (part.known_by() == KnownBy::kRead)
+      text += part.stated == part.reported ? " (read from the instrument)"
+                                           : fmt::format(" (the instrument reports {})", part.reported);
+    facts.facts.emplace_back(capitalised(part.words), std::move(text));
   }
+  for (const auto& [name, key] : kItemSettings)
+    facts.facts.emplace_back(name, or_not_stated(data.label(key)));
   facts.facts.emplace_back("Unit of its response", data.record.response_unit);
   return {"Item", {facts}};
+}
+
+/// How the item was mounted, as the bench file states it.
+Section mounting_section(const ReportData& data) {
+  const std::string& mounting = data.record.expected.mounting;
+  FactList facts{{{"u, v, w along", mounting}}};
+  for (const auto& [name, key] : kItemMounting)
+    facts.facts.emplace_back(name, or_not_stated(data.label(key)));
+  return {"Mounting", {facts}};
 }
 
 Section run_section(const ReportData& data) {
@@ -105,7 +128,8 @@ std::string gravity_text(const RunRecord& record) {
   if (!record.g_loc_known) return "not known: sensitivities are per local gravity g_loc";
   std::string text = fmt::format("{:.9g} m/s²", g.value_mps2);
   text += g.expanded_uncertainty_mps2 > 0.0
-              ? fmt::format(", U = {:.2g} m/s² (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
+              ? typeset_numbers(fmt::format(", U = {:.2g} m/s² (k = {:g})", g.expanded_uncertainty_mps2,
+                                            g.coverage_factor))
               : ", uncertainty not stated";
   return text + "; source: " + or_not_stated(g.source);
 }
@@ -206,6 +230,9 @@ Section method_section(const ReportData& data) {
       "Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation taken into "
       "account. " +
       tolerances_text(record)});
+  if (const std::vector<std::string> defaults = unstated_effects(record.tolerances); !defaults.empty())
+    section.blocks.push_back(Paragraph{fmt::format(
+        "Effects whose size is not stated, so default sizes are used: {}.", fmt::join(defaults, "; "))});
   return section;
 }
 
@@ -233,48 +260,43 @@ std::vector<std::string> result_row(const NamedQuantity& output) {
           q.unit};
 }
 
-Section result_section(const ReportData& data) {
+/// Every value with all that its uncertainty consists of, and what a reader should know of the result.
+Section values_section(const ReportData& data) {
   const CalibrationResult& result = data.result();
-  Section section{"Result", {}};
-  FactList verdict{{{"Verdict", fmt::format("{}: {}", verdict_words(result.verdict), result.why)},
-                    {"Estimator", result.estimator}}};
-  section.blocks.push_back(verdict);
-  if (result.verdict == Verdict::kNotUsable) {
-    section.blocks.push_back(Paragraph{"No numbers are given, because the result is not usable."});
-  } else {
-    DocumentTable table{"",
-                        {{"quantity", CellKind::kSymbol},
-                         {"value", CellKind::kNumber},
-                         {fmt::format("expanded unc. U (k = {:g})", kCoverageFactor), CellKind::kNumber},
-                         {"standard unc. u", CellKind::kNumber},
-                         {"type A", CellKind::kNumber},
-                         {"type B", CellKind::kNumber},
-                         {"unit", CellKind::kUnit}},
-                        {}};
-    const bool own_factors = own_coverage_factors(result);
-    if (own_factors) {
-      table.columns[2].heading = "expanded unc. U";
-      table.columns.push_back({"k", CellKind::kNumber});
-    }
-    std::string group;
-    for (const NamedQuantity& output : outputs(result)) {
-      if (group != group_of(output.name)) table.rows.push_back({group = group_of(output.name)});
-      table.rows.push_back(result_row(output));
-      if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
-    }
-    section.blocks.push_back(std::move(table));
-    section.blocks.push_back(Paragraph{fmt::format(
-        "The expanded uncertainty is U = k u with {}. u: standard uncertainty, of type A (from the scatter "
-        "of "
-        "the readings) and type B (from what is stated of the stage and the item) combined.",
-        own_factors
-            ? fmt::format("the coverage factor k of Student's distribution with the degrees of freedom "
-                          "of each output, for a coverage probability of 95.45 %")
-            : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds to "
-                          "a coverage probability of approximately {:g} %",
-                          kCoverageFactor, 100.0 * kCoverageProbability))});
+  Section section{"Values and uncertainties", {}};
+  DocumentTable table{"",
+                      {{"quantity", CellKind::kSymbol},
+                       {"value", CellKind::kNumber},
+                       {fmt::format("expanded unc. U (k = {:g})", kCoverageFactor), CellKind::kNumber},
+                       {"standard unc. u", CellKind::kNumber},
+                       {"type A", CellKind::kNumber},
+                       {"type B", CellKind::kNumber},
+                       {"unit", CellKind::kUnit}},
+                      {}};
+  const bool own_factors = own_coverage_factors(result);
+  if (own_factors) {
+    table.columns[2].heading = "expanded unc. U";
+    table.columns.push_back({"k", CellKind::kNumber});
   }
-  if (!result.diagnostics.notes.empty()) section.blocks.push_back(BulletList{result.diagnostics.notes});
+  std::string group;
+  for (const NamedQuantity& output : outputs(result)) {
+    if (group != group_of(output.name)) table.rows.push_back({group = group_of(output.name)});
+    table.rows.push_back(result_row(output));
+    if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
+  }
+  section.blocks.push_back(std::move(table));
+  section.blocks.push_back(Paragraph{fmt::format(
+      "The expanded uncertainty is U = k u with {}. u: standard uncertainty, of type A (from the scatter "
+      "of "
+      "the readings) and type B (from what is stated of the stage and the item) combined.",
+      own_factors
+          ? fmt::format("the coverage factor k of Student's distribution with the degrees of freedom "
+                        "of each output, for a coverage probability of 95.45 %")
+          : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds to "
+                        "a coverage probability of approximately {:g} %",
+                        kCoverageFactor, 100.0 * kCoverageProbability))});
+  if (std::vector<std::string> notes = further_notes(result, data.record.tolerances); !notes.empty())
+    section.blocks.push_back(BulletList{std::move(notes)});
   return section;
 }
 
@@ -403,6 +425,7 @@ Section plausibility_section(const Diagnostics& d) {
       "What slips, missed steps, jumps, drift, a wrong scale or exchanged outputs would show.",
       {{"check"}, {"found", CellKind::kNumber}, {"limit", CellKind::kNumber}, {"unit"}, {"outcome"}},
       {}};
+  table.may_break = true;
   for (const Check& check : d.checks) {
     if (!std::isfinite(check.found)) continue;  // not done: a note says why
     table.rows.push_back({check.name, formatted(check.found, "{:.2g}"), formatted(check.limit, "{:.2g}"),
@@ -532,20 +555,23 @@ bool contributes(const Budget& budget, const BudgetLine& line, int k) {
 
 /// All inputs once, with the sensitivity of each of these outputs.
 DocumentTable inputs_table(const Budget& budget, const std::vector<int>& outputs) {
-  DocumentTable table{"Inputs x with their standard uncertainties u(x), and sensitivities c to them.",
-                      {{"input x", CellKind::kSymbol},
-                       {"value", CellKind::kNumber},
-                       {"unit", CellKind::kUnit},
-                       {"type", CellKind::kUnit},
-                       {"u(x)", CellKind::kNumber}},
-                      {}};
+  DocumentTable table{
+      "Inputs x with their degrees of freedom ν, standard uncertainties u(x), and sensitivities c to "
+      "them.",
+      {{"input x", CellKind::kSymbol},
+       {"unit", CellKind::kUnit},
+       {"type", CellKind::kUnit},
+       {"ν", CellKind::kNumber},
+       {"u(x)", CellKind::kNumber}},
+      {}};
   table.dense = table.may_break = true;
   for (const int k : outputs)
     table.columns.push_back({fmt::format("c({})", output_symbol(k)), CellKind::kNumber});
   for (const BudgetLine& line : budget.lines) {
-    std::vector<std::string> row{line.input, line.value, line.unit,
-                                 fmt::format("{} {}", line.type_a ? "A" : "B", line.distribution),
-                                 formatted(line.standard_uncertainty, "{:.1e}")};
+    const std::string degrees = degrees_words(line, outputs);
+    std::vector<std::string> row{
+        line.input, line.unit, fmt::format("{} {}", line.type_a ? "A" : "B", line.distribution),
+        degrees.empty() ? "∞" : degrees, formatted(line.standard_uncertainty, "{:.1e}")};
     for (const int k : outputs)
       row.push_back(contributes(budget, line, k) ? formatted(line.sensitivity(k), "{:.1e}") : "");
     table.rows.push_back(std::move(row));
@@ -572,6 +598,7 @@ DocumentTable contributions_table(const Budget& budget, const std::vector<int>& 
     table.columns.push_back({"share", CellKind::kNumber});
   }
   for (const BudgetLine& line : budget.lines) {
+    if (std::ranges::none_of(outputs, [&](int k) { return contributes(budget, line, k); })) continue;
     std::vector<std::string> row{line.input};
     for (const int k : outputs) {
       const double share = budget.share(line, k);
@@ -598,10 +625,21 @@ Section budget_section(const ReportData& data) {
                              "the largest uncertainty of each kind.",
                              data.estimator)},
        inputs_table(budget, outputs), contributions_table(budget, outputs, data.record.response_unit)}};
+  std::vector<std::string> in_si;
+  for (const int k : outputs)
+    if (std::string words = gravity_words(budget, k, data.record.response_unit); !words.empty())
+      in_si.push_back(std::move(words));
+  if (!in_si.empty()) section.blocks.push_back(BulletList{std::move(in_si)});
+  FactList sources;
+  for (auto& [source, inputs] : budget_sources(budget))
+    sources.facts.emplace_back("Source: " + source, std::move(inputs));
+  section.blocks.push_back(std::move(sources));
   std::string not_covered = "Not covered: ";
   for (std::size_t i = 0; i < budget.not_covered.size(); ++i)
     not_covered += (i > 0 ? "; " : "") + budget.not_covered[i];
   section.blocks.push_back(Paragraph{not_covered + "."});
+  if (data.held_out_norm)
+    section.blocks.push_back(Paragraph{"Check of U by " + held_out_words(*data.held_out_norm) + "."});
   if (!budget.notes.empty()) section.blocks.push_back(BulletList{budget.notes});
   return section;
 }
@@ -655,6 +693,7 @@ std::string identification(const ReportData& data) {
   const std::string item = data.label("item.model"), serial = data.label("item.serial_number");
   if (!item.empty()) text += " · " + item;
   if (!serial.empty()) text += " · serial number " + serial;
+  if (identity_of(data).back().known_by() == KnownBy::kStated) text += " (stated, not read)";
   constexpr std::size_t kShort = 16;  // of 64 digits: enough to distinguish runs; the report contains all
   if (data.sha256) text += " · SHA-256 " + data.sha256->substr(0, kShort) + "...";
   return text;
@@ -670,8 +709,13 @@ Document calibration_document(const ReportData& data) {
   document.origin =
       fmt::format("abcal {}, report made {}", data.program_version, to_the_second(data.created_utc));
   document.cautions = cautions(data);
+  const bool usable = data.result().verdict != Verdict::kNotUsable;
+  document.sections.push_back(first_page(data));
   document.sections.push_back(item_section(data));
-  document.sections.push_back(result_section(data));
+  // With both tables, drawing and figure the result fills its page.
+  document.sections.back().on_new_page = usable && data.result().sensitivity_matrix.has_value();
+  if (data.run) document.sections.push_back(mounting_section(data));
+  if (usable) document.sections.push_back(values_section(data));
   if (data.run) document.sections.push_back(run_section(data));
   document.sections.push_back(conditions_section(data));
   document.sections.push_back(method_section(data));

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/ground/document/valid_text.h"
+#include "app/results/estimates/held_out_words.h"
 #include "app/results/estimates/result_json.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/record/run_operator.h"
@@ -36,13 +37,18 @@ Json budget_json(const ReportData& data) {
                      {"unit", line.unit},
                      {"distribution", line.distribution},
                      {"type", line.type_a ? "A" : "B"},
+                     {"key", line.key.empty() ? Json(nullptr) : Json(line.key)},
+                     {"source", text(line.source)},
+                     {"degrees_of_freedom", of_outputs(line.degrees_of_freedom)},
                      {"standard_uncertainty", json_number(line.standard_uncertainty)},
                      {"sensitivity", of_outputs(line.sensitivity)},
-                     {"contribution", of_outputs(line.contribution)}});
+                     {"contribution", of_outputs(line.contribution)},
+                     {"contribution_per_mps2", of_outputs(line.contribution_per_mps2)}});
   }
   return {{"units", units},
           {"lines", std::move(lines)},
           {"combined", of_outputs(budget.combined)},
+          {"combined_per_mps2", of_outputs(budget.combined_per_mps2)},
           {"not_covered", budget.not_covered},
           {"notes", budget.notes}};
 }
@@ -153,8 +159,14 @@ nlohmann::ordered_json report_json(const ReportData& data) {
   json["coverage_factor"] = kCoverageFactor;
   json["coverage_probability"] = kCoverageProbability;
   Json item;
-  for (const char* key : {"maker", "model", "serial_number", "range", "filter", "firmware", "supply"})
-    item[key] = text(data.label(std::string("item.") + key));
+  for (const IdentityPart& part : identity_of(data)) {
+    item[part.key] = text(part.stated);
+    item["known_by"][part.key] = to_string(part.known_by());
+    item["reported"][part.key] = text(part.reported);
+  }
+  for (const auto& [name, key] : kItemSettings) item[key.substr(kItemLabel.size())] = text(data.label(key));
+  item["mounting"] = text(data.record.expected.mounting);
+  for (const auto& [name, key] : kItemMounting) item[key.substr(kItemLabel.size())] = text(data.label(key));
   json["item"] = std::move(item);
   json["bench"] = text(data.label("bench.name"));
   json["operator"] = text(data.label("operator.name"));
@@ -175,6 +187,7 @@ nlohmann::ordered_json report_json(const ReportData& data) {
                         {"zero_deg", t.zero.deg()},
                         {"drift", t.drift}};
   json["budget"] = budget_json(data);
+  json["held_out_norm"] = data.held_out_norm ? held_out_json(*data.held_out_norm) : Json(nullptr);
   json["check_poses"] = check_poses_json(data);
   json["flagged_angles"] = flagged_json(data.record);
   return json;

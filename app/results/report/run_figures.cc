@@ -6,9 +6,12 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "app/ground/document/gnuplot.h"
+#include "app/ground/document/number_text.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -37,6 +40,22 @@ std::string bars(const std::string& data, std::size_t x, std::size_t y, const st
                      data, x, y, y + 1, colour);
 }
 
+/// The power of ten in which an axis counts, so that its numbers are short: a multiple of 3.
+struct AxisPower {
+  int exponent = 0;
+  double unit = 1.0;
+  /// "10⁻⁶ V"; "V" where the exponent is 0.
+  std::string label(const std::string& of) const {
+    return exponent == 0 ? of : power_of_ten(exponent) + " " + of;
+  }
+};
+AxisPower axis_power(double largest) {
+  if (!(largest > 0.0) || !std::isfinite(largest)) return {};
+  constexpr double kLeast = 0.1;  // 0.1 to 100 in front of the power.
+  const int exponent = 3 * static_cast<int>(std::floor(std::log10(largest / kLeast) / 3.0));
+  return {exponent, std::pow(10.0, exponent)};
+}
+
 const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, int accelerometer) {
   for (const FitDiagnostic& fit : result.diagnostics.fits) {
     if (fit.experiment == experiment && fit.accelerometer == accelerometer) return &fit;
@@ -48,24 +67,41 @@ const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, i
 
 Figure response_figure(const ReportData& data, int experiment) {
   const CalibrationResult& result = result_of(data.results, kPublishedEstimator);
-  std::string readings, residuals;
+  struct Residual {
+    double alpha_deg = 0.0;
+    std::array<double, 3> value{}, bar{};
+  };
+  std::string readings;
+  std::vector<Residual> left_over;
   bool with_u = false;
   for (const DwellRecord& dwell : data.record.dwells) {
     if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
     readings += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n", dwell.alpha.deg(), dwell.mean[0],
                             dwell.mean[1], dwell.mean[2]);
-    residuals += fmt::format("{:.17g}", dwell.alpha.deg());
+    Residual& residual = left_over.emplace_back();
+    residual.alpha_deg = dwell.alpha.deg();
     for (int j = 0; j < 3; ++j) {
       const FitDiagnostic* fit = find_fit(result, experiment, j);
       if (fit == nullptr) return {experiment_title(experiment) + ": no fit", "", 10};
       const SinCos at = sincos(dwell.alpha);
-      const double left =
+      const auto output = static_cast<std::size_t>(j);
+      residual.value[output] =
           dwell.mean[j] - (fit->sine.value * at.sin + fit->cosine.value * at.cos + fit->constant.value);
-      residuals +=
-          fmt::format(" {:.17g} {:.17g}", left, dwell.u_mean ? kCoverageFactor * (*dwell.u_mean)[j] : 0.0);
+      residual.bar[output] = dwell.u_mean ? kCoverageFactor * (*dwell.u_mean)[j] : 0.0;
     }
-    residuals += "\n";
     with_u = with_u || dwell.u_mean;
+  }
+  double largest = 0.0;
+  for (const Residual& residual : left_over)
+    for (const double value : residual.value) largest = std::max(largest, std::abs(value));
+  const AxisPower axis = axis_power(largest);
+  std::string residuals;
+  for (const Residual& residual : left_over) {
+    residuals += fmt::format("{:.17g}", residual.alpha_deg);
+    for (std::size_t j = 0; j < 3; ++j)
+      residuals +=
+          fmt::format(" {:.17g} {:.17g}", residual.value[j] / axis.unit, residual.bar[j] / axis.unit);
+    residuals += "\n";
   }
   std::string script = fmt::format("$r << EOD\n{}EOD\n$d << EOD\n{}EOD\n", readings, residuals);
   script += "set angles degrees\n";
@@ -84,8 +120,8 @@ Figure response_figure(const ReportData& data, int experiment) {
         fit.sine.value, fit.cosine.value, fit.constant.value, style.colour, j + 2, style.point, style.colour,
         style.name, j < 2 ? ", " : "\n");
   }
-  script += fmt::format("set format y '%.1e'\nset ylabel {}\nplot 0 with lines lc rgb '#808080' notitle, ",
-                        gnuplot_quoted(fmt::format("reading - fit ({})", result.response_unit)));
+  script += fmt::format("set ylabel {}\nplot 0 with lines lc rgb '#808080' notitle, ",
+                        gnuplot_quoted(fmt::format("reading − fit ({})", axis.label(result.response_unit))));
   for (std::size_t j = 0; j < 3; ++j) {
     const Style& style = kStyles[j];
     // Bars and marks apart: gnuplot draws the bars as one path then.
@@ -99,12 +135,38 @@ Figure response_figure(const ReportData& data, int experiment) {
                       with_u ? fmt::format(", bars: k = {:g} times the standard uncertainty of the mean",
                                            kCoverageFactor)
                              : std::string()),
-          script, 270};
+          script, 220};
 }
+
+namespace {
+
+/// Amplitude of a harmonic and the half-width of its bar.
+std::pair<double, double> amplitude_of(const Harmonic& harmonic) {
+  const double u =
+      std::fmax(harmonic.sin_amplitude.standard_uncertainty, harmonic.cos_amplitude.standard_uncertainty);
+  return {std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value),
+          std::isfinite(u) ? kCoverageFactor * u : 0.0};
+}
+
+/// The highest end of a bar of harmonics 2 to 5; above 0.
+double highest_harmonic(const CalibrationResult& result) {
+  double highest = std::numeric_limits<double>::min();
+  for (const FitDiagnostic& fit : result.diagnostics.fits) {
+    for (const Harmonic& harmonic : fit.harmonics) {
+      if (harmonic.order < 2) continue;
+      const auto [amplitude, bar] = amplitude_of(harmonic);
+      highest = std::max(highest, amplitude + bar);
+    }
+  }
+  return highest;
+}
+
+}  // namespace
 
 Figure harmonics_figure(const CalibrationResult& result) {
   std::string data, plots;
-  double highest = std::numeric_limits<double>::min();
+  const double highest = highest_harmonic(result);
+  const AxisPower axis = axis_power(highest);
   constexpr double kRoomAbove = 1.05;
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int j = 0; j < 3; ++j) {
@@ -112,12 +174,9 @@ Figure harmonics_figure(const CalibrationResult& result) {
       const FitDiagnostic* fit = find_fit(result, experiment, j);
       for (const Harmonic& harmonic : fit != nullptr ? fit->harmonics : std::vector<Harmonic>()) {
         if (harmonic.order < 2) continue;
-        const double u = std::fmax(harmonic.sin_amplitude.standard_uncertainty,
-                                   harmonic.cos_amplitude.standard_uncertainty);
-        const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
-        const double bar = std::isfinite(u) ? kCoverageFactor * u : 0.0;
-        highest = std::max(highest, amplitude + bar);
-        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1), amplitude, bar);
+        const auto [amplitude, bar] = amplitude_of(harmonic);
+        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1),
+                            amplitude / axis.unit, bar / axis.unit);
       }
       data += "EOD\n";
     }
@@ -131,10 +190,10 @@ Figure harmonics_figure(const CalibrationResult& result) {
   }
   std::string script = data + kFrame;
   script += fmt::format(
-      "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\nset format y "
-      "'%.1e'\n"
+      "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\n"
       "set key on outside bottom center horizontal samplen 1\nset yrange [0:{:.6g}]\nset ylabel {}\n",
-      kRoomAbove * highest, gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
+      kRoomAbove * highest / axis.unit,
+      gnuplot_quoted(fmt::format("amplitude ({})", axis.label(result.response_unit))));
   return {fmt::format("Amplitudes of harmonics 2 to 5; bars: k = {:g} times their standard uncertainty.",
                       kCoverageFactor),
           script + plots + "unset multiplot\n", 270};
@@ -168,6 +227,68 @@ Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
                   "uncertainty.",
                   kCoverageFactor),
       script + plots + "unset multiplot\n", 240};
+}
+
+namespace {
+
+/// Three values with their bars in one panel: u, v, w or uv, vw, wu.
+struct DeviationPanel {
+  std::string title, unit;
+  std::array<const char*, 3> names;
+  std::array<double, 3> value{}, expanded{};
+};
+
+std::string panel_script(const DeviationPanel& panel, int number) {
+  double largest = 0.0;
+  for (std::size_t j = 0; j < 3; ++j)
+    if (std::isfinite(panel.value[j]))
+      largest = std::max(
+          largest, std::abs(panel.value[j]) + (std::isfinite(panel.expanded[j]) ? panel.expanded[j] : 0.0));
+  const AxisPower axis = axis_power(largest);
+  std::string data = fmt::format("$d{} << EOD\n", number), tics;
+  for (std::size_t j = 0; j < 3; ++j) {
+    tics += fmt::format("{}'{}' {}", j == 0 ? "" : ", ", panel.names[j], j + 1);
+    if (!std::isfinite(panel.value[j])) continue;
+    data += fmt::format("{} {:.17g} {:.17g}\n", j + 1, panel.value[j] / axis.unit,
+                        std::isfinite(panel.expanded[j]) ? panel.expanded[j] / axis.unit : 0.0);
+  }
+  return data +
+         fmt::format(
+             "EOD\nset title {}\nset xtics ({})\nset ylabel {}\nplot 0 with lines lc rgb '#808080' notitle, "
+             "{}$d{} using 1:2 with points pt 7 ps 0.7 lc rgb '#0072B2' notitle\n",
+             gnuplot_quoted(panel.title), tics, gnuplot_quoted(axis.label(panel.unit)),
+             bars(fmt::format("$d{}", number), 1, 2, "#0072B2"), number);
+}
+
+}  // namespace
+
+Figure deviation_figure(const RunRecord& record, const CalibrationResult& result) {
+  const auto nominal = nominal_response(record.expected, record.response_unit, record.g_loc.value_mps2);
+  DeviationPanel s{nominal ? "s from nominal" : "s from their mean", "%", {"u", "v", "w"}},
+      phi{"angles from 90°", "°", {"uv", "vw", "wu"}},
+      offset{"offsets O", result.response_unit, {"u", "v", "w"}};
+  double mean = 0.0;
+  for (const Quantity& q : result.intrinsic_sensitivity) mean += q.value / 3.0;
+  const double ideal = nominal.value_or(mean);
+  constexpr double kPercent = 100.0, kRightAngle = 90.0;
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto expanded = [](const Quantity& q) { return coverage_factor(q) * q.standard_uncertainty; };
+    s.value[j] = kPercent * (result.intrinsic_sensitivity[j].value / ideal - 1.0);
+    s.expanded[j] = kPercent * expanded(result.intrinsic_sensitivity[j]) / std::abs(ideal);
+    phi.value[j] = result.intrinsic_angle[j].value - kRightAngle;
+    phi.expanded[j] = expanded(result.intrinsic_angle[j]);
+    offset.value[j] = result.offset[j].value;
+    offset.expanded[j] = expanded(result.offset[j]);
+  }
+  std::string script = kFrame;
+  script += "set multiplot layout 1,3\nset xrange [0.5:3.5]\nset offsets 0,0,graph 0.1,graph 0.1\n";
+  script += panel_script(s, 1) + panel_script(phi, 2) + panel_script(offset, 3) + "unset multiplot\n";
+  return {
+      fmt::format("Deviation from an ideal accelerometer: sensitivities from {}, angles from 90°, offsets "
+                  "from 0. Bars: U; where no bar is seen, U is smaller than the mark.",
+                  nominal ? fmt::format("the nominal {:.6g} {} per g_loc", *nominal, result.response_unit)
+                          : std::string("their mean (no nominal value is known)")),
+      script, 240};
 }
 
 }  // namespace abcal

@@ -14,4 +14,8 @@ Figure harmonics_figure(const CalibrationResult& result);
 /// Rotation-step errors of the three experiments, as the joint estimator finds them.
 Figure step_error_figure(const RunRecord& record, const JointResult& joint);
 
+/// How far a result is from an ideal accelerometer, with bars of the expanded uncertainty: s_j from the
+/// nominal sensitivity (where that is not known, from their mean), phi from 90 degrees, O from zero.
+Figure deviation_figure(const RunRecord& record, const CalibrationResult& result);
+
 }  // namespace abcal

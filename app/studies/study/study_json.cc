@@ -1,5 +1,7 @@
 #include "app/studies/study/study_json.h"
 
+#include <fmt/format.h>
+
 #include <nlohmann/json.hpp>
 
 #include "app/results/estimates/result_json.h"
@@ -90,6 +92,71 @@ Json output_order() {
   return order;
 }
 
+Json budget_json(const Budget& budget) {
+  Json lines = Json::array();
+  for (const BudgetLine& line : budget.lines) {
+    lines.push_back(
+        {{"input", line.input},
+         {"value", line.value},
+         {"unit", line.unit},
+         {"distribution", line.distribution},
+         {"type", line.type_a ? "A" : "B"},
+         {"key", line.key.empty() ? Json(nullptr) : Json(line.key)},
+         {"source", line.source},
+         {"standard_uncertainty", json_number(line.standard_uncertainty)},
+         {"degrees_of_freedom", groups(line.degrees_of_freedom)},
+         {"sensitivity", groups(line.sensitivity)},
+         {"contribution", groups(line.contribution)},
+         {"share", groups([&](int k) { return json_number(budget.share(line, k)); })},
+         {"contribution_per_mps2", groups(line.contribution_per_mps2)},
+         {"share_per_mps2", groups([&](int k) { return json_number(budget.share_per_mps2(line, k)); })}});
+  }
+  return {{"lines", std::move(lines)},
+          {"combined", groups(budget.combined)},
+          {"combined_per_mps2", groups(budget.combined_per_mps2)},
+          {"not_covered", budget.not_covered},
+          {"notes", budget.notes}};
+}
+
+Json validation_json(const std::vector<GumValidation>& validation) {
+  if (validation.empty()) return nullptr;
+  const auto of = [&](auto member) {
+    return groups([&](int k) { return Json(validation[static_cast<std::size_t>(k)].*member); });
+  };
+  return {{"validated", of(&GumValidation::validated)},
+          {"decided", of(&GumValidation::decided)},
+          {"expanded_uncertainty", of(&GumValidation::expanded_uncertainty)},
+          {"d_low", of(&GumValidation::d_low)},
+          {"d_high", of(&GumValidation::d_high)},
+          {"tolerance", of(&GumValidation::tolerance)}};
+}
+
+/// The statements of the joint result, and how Monte Carlo compares.
+void add_joint(Json& json, const RunUncertainty& study) {
+  const JointComparison& joint = *study.joint;
+  json["posterior"] = {{"standard_uncertainty", groups(joint.standard_uncertainty)},
+                       {"coverage_probability", 0.95},
+                       {"expanded_uncertainty", groups(joint.expanded_95)}};
+  if (study.combined.coverage.empty()) {
+    json["interval"] = nullptr;
+  } else {
+    const OutputVector value = to_vector(study.value);
+    json["interval"] = groups([&](int k) {
+      const CoverageInterval& error = study.combined.coverage[static_cast<std::size_t>(k)].symmetric;
+      return Json::array({json_number(value(k) - error.high), json_number(value(k) - error.low)});
+    });
+  }
+  json["differences"] = Json::array();
+  for (const StudyDifference& one : joint.differences)
+    json["differences"].push_back({{"output", output_symbol(one.output)},
+                                   {"of", one.of},
+                                   {"monte_carlo", json_number(one.monte_carlo)},
+                                   {"stated", json_number(one.stated)}});
+  json["solved_in_full"] = {{"trials", joint.solved_in_full},
+                            {"not_converged", joint.not_converged},
+                            {"rms_deviation_in_u", json_number(joint.largest_deviation)}};
+}
+
 }  // namespace
 
 nlohmann::ordered_json study_json(const StudyResult& study) {
@@ -142,7 +209,8 @@ nlohmann::ordered_json study_json(const RunUncertainty& study) {
   json["schema"] = "abcal.study/1";
   json["set"] = "uncertainty";
   json["source"] = study.source;
-  json["trials"] = study.type_b.trials;
+  json["estimator"] = study.estimator;
+  json["trials"] = study.combined.trials;
   json["seed"] = study.seed;
   json["generator"] = "Philox4x32-10";
   json["interrupted"] = study.interrupted;
@@ -159,7 +227,7 @@ nlohmann::ordered_json study_json(const RunUncertainty& study) {
   const auto add_case = [&](const char* name, const char* quantity, const MonteCarloResult& result,
                             const std::string& note) {
     Json item;
-    item["name"] = name;
+    item["name"] = fmt::format("{}: {}", study.estimator, name);
     item["quantity"] = quantity;
     add_monte_carlo(item, result);
     const std::string whole = join(note, result.note);
@@ -167,41 +235,20 @@ nlohmann::ordered_json study_json(const RunUncertainty& study) {
     json["cases"].push_back(std::move(item));
   };
   json["cases"] = Json::array();
-  add_case("type B: calibration system", "error", study.type_b, "");
-  add_case("type A: paper, section 6", "value", study.type_a,
-           study.acs_measured ? "Measured errors of the calibration system."
-                              : "Nothing measured: means of zero, the tolerances as standard errors.");
-  add_case("combined: whole budget", "error", study.combined, "");
-
-  Json lines = Json::array();
-  for (const BudgetLine& line : study.budget.lines) {
-    lines.push_back({{"input", line.input},
-                     {"value", line.value},
-                     {"unit", line.unit},
-                     {"distribution", line.distribution},
-                     {"type", line.type_a ? "A" : "B"},
-                     {"standard_uncertainty", json_number(line.standard_uncertainty)},
-                     {"sensitivity", groups(line.sensitivity)},
-                     {"contribution", groups(line.contribution)},
-                     {"share", groups([&](int k) { return json_number(study.budget.share(line, k)); })}});
-  }
-  json["budget"] = {{"lines", std::move(lines)},
-                    {"combined", groups(study.budget.combined)},
-                    {"not_covered", study.budget.not_covered},
-                    {"notes", study.budget.notes}};
-  if (study.validation.empty()) {
-    json["gum_validation"] = nullptr;
+  if (study.joint) {
+    if (study.no_trials.empty()) add_case("whole estimator", "error", study.combined, kWhatIsChecked);
+    add_joint(json, study);
   } else {
-    const auto of = [&](auto member) {
-      return groups([&](int k) { return Json(study.validation[static_cast<std::size_t>(k)].*member); });
-    };
-    json["gum_validation"] = {{"validated", of(&GumValidation::validated)},
-                              {"decided", of(&GumValidation::decided)},
-                              {"expanded_uncertainty", of(&GumValidation::expanded_uncertainty)},
-                              {"d_low", of(&GumValidation::d_low)},
-                              {"d_high", of(&GumValidation::d_high)},
-                              {"tolerance", of(&GumValidation::tolerance)}};
+    add_case("type B, calibration system", "error", study.type_b, "");
+    add_case("type A, paper, section 6", "value", study.type_a,
+             study.acs_measured ? "Measured errors of the calibration system."
+                                : "Nothing measured: means of zero, the tolerances as standard errors.");
+    add_case("combined, whole budget", "error", study.combined, "");
   }
+  if (!study.no_trials.empty()) json["no_trials"] = study.no_trials;
+  json["budget"] = budget_json(study.budget);
+  json["gum_validation"] = validation_json(study.validation);
+  json["warnings"] = study.warnings;
   if (study.paper_preset) {
     json["preset"] = {
         {"name", "paper"}, {"standard_uncertainty", groups(study.bounds)}, {"warnings", study.warnings}};

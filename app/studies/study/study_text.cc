@@ -1,38 +1,29 @@
 #include "app/studies/study/study_text.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
 
+#include "app/ground/system/text_layout.h"
+#include "app/results/estimates/budget_words.h"
 #include "app/results/estimates/result_text.h"
 
 namespace abcal {
 namespace {
 
-constexpr std::size_t kNoteWidth = 106;
+constexpr std::size_t kNoteWidth = 79;
 
 std::string study_number(double value) {
   return std::isfinite(value) ? fmt::format("{:+.3e}", value) : "";
 }
 
 // Long sentences on lines of their own.
-std::string wrapped(const std::string& text, const std::string& indent) {
-  std::string out;
-  std::string line = indent;
-  std::size_t begin = 0;
-  while (begin < text.size()) {
-    const std::size_t end = std::min(text.find(' ', begin), text.size());
-    const std::string word = text.substr(begin, end - begin);
-    if (line.size() > indent.size() && line.size() + word.size() > kNoteWidth) {
-      out += line + "\n";
-      line = indent;
-    }
-    line += (line.size() > indent.size() ? " " : "") + word;
-    begin = end + 1;
-  }
-  return line.size() > indent.size() ? out + line + "\n" : out;
+std::string note_lines(const std::string& text, const std::string& indent) {
+  return text.empty() ? "" : wrapped(text, indent, indent, kNoteWidth);
 }
 
 std::string row(const char* matrix, std::string_view vector, const Eigen::Vector3d& ours,
@@ -158,6 +149,130 @@ std::string csv_number(double value) {
   return std::isfinite(value) ? fmt::format("{:.17g}", value) : "";
 }
 
+constexpr double kLeastShown = 0.001;  // Share of the variance: 0.1 %.
+
+/// An input without the number of its unknowns and without what stands in parentheses.
+std::string name_alone(const std::string& input) {
+  return input.substr(0, std::min(input.find(" ("), input.find(", ")));
+}
+
+/// The budget of one output. Rows below 0.1 % of its variance are counted.
+std::string budget_table(const RunUncertainty& study, int k) {
+  const Budget& budget = study.budget;
+  std::string text = fmt::format("\nBudget of {} ({}), the largest of its kind\n", output_symbol(k),
+                                 output_unit(k, study.response_unit));
+  text += fmt::format("  {:<31}{:>8} {:<7}{:<13}{:>9} {:>6}\n", "input", "u", "unit", "distribution",
+                      "contrib.", "share");
+  int left_out = 0;
+  for (const BudgetLine& line : budget.lines) {
+    if (budget.share(line, k) < kLeastShown) {
+      ++left_out;
+      continue;
+    }
+    text += fmt::format(
+        "  {:<31}{:>8} {:<7}{:<13}{:>9.1e} {:>5.1f}%\n", name_alone(line.input),
+        std::isfinite(line.standard_uncertainty) ? fmt::format("{:.1e}", line.standard_uncertainty) : "",
+        line.unit, line.distribution, line.contribution(k), 100.0 * budget.share(line, k));
+  }
+  text += fmt::format("  {:<59}{:>9.1e}\n", "combined, to first order", budget.combined(k));
+  if (left_out > 0) text += fmt::format("  {} further inputs have less than 0.1 % each.\n", left_out);
+  for (const BudgetLine& line : budget.lines) {
+    if (const std::string degrees = degrees_words(line, {k}); !degrees.empty())
+      text += note_lines(fmt::format("Degrees of freedom: {} of {}.", degrees, name_alone(line.input)), "  ");
+  }
+  return text + note_lines(gravity_words(budget, k, study.response_unit), "  ");
+}
+
+/// Sources of the inputs of the budget.
+std::string sources_text(const Budget& budget) {
+  std::string text = "\nSources of the uncertainties:\n";
+  for (const auto& [source, inputs] : budget_sources(budget))
+    text += note_lines(fmt::format("{}: {}", source, inputs), "  ");
+  return text;
+}
+
+std::string budget_text(const RunUncertainty& study) {
+  std::string text;
+  for (const int k : worst_of_each_kind(study.budget.combined)) text += budget_table(study, k);
+  text += sources_text(study.budget);
+  text += "\nNot covered by this budget:\n";
+  for (const std::string& item : study.budget.not_covered) text += note_lines("- " + item, "  ");
+  for (const std::string& note : study.budget.notes) text += note_lines(note, "  ");
+  return text;
+}
+
+std::string validation_text(const RunUncertainty& study) {
+  if (study.validation.empty()) return {};
+  std::string text = "\nValidation of the GUM framework against Monte Carlo (JCGM 101, section 8)\n";
+  text +=
+      fmt::format("  {:<8}{:>10} {:>10} {:>10} {:>10}  {}\n", "", "U (95 %)", "d_low", "d_high", "delta", "");
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    const GumValidation& v = study.validation[static_cast<std::size_t>(k)];
+    text += fmt::format("  {:<8}{:>10.2e} {:>10.2e} {:>10.2e} {:>10.2e}  {}{}\n", output_symbol(k),
+                        v.expanded_uncertainty, v.d_low, v.d_high, v.tolerance,
+                        v.validated ? "validated" : "not validated: use the Monte Carlo interval",
+                        v.decided ? "" : " (too few trials to be sure)");
+  }
+  return text;
+}
+
+/// The joint result: what it states, and Monte Carlo beside it.
+std::string joint_text(const RunUncertainty& study) {
+  const JointComparison& joint = *study.joint;
+  const MonteCarloResult& made = study.combined;
+  std::string text = fmt::format("Uncertainty of the joint result of {}\n", study.source);
+  if (study.no_trials.empty()) {
+    text += fmt::format("{} trials, seed {} (Philox4x32-10)\n", made.trials, study.seed);
+    text += note_lines(kWhatIsChecked, "");
+  } else {
+    text += note_lines(study.no_trials, "");
+  }
+  const bool intervals = !made.coverage.empty();
+  text += fmt::format("\n  {:<8}{:>13} {:>8} {:>8} {:>8} {:>10} {:>9}  {}\n", "", "", "stated", "stated",
+                      made.trials >= 2 ? "trials" : "", intervals ? "95 %" : "", "", "");
+  text += fmt::format("  {:<8}{:>13} {:>8} {:>8} {:>8} {:>10} {:>9}  {}\n", "", "value", "u", "U (95 %)",
+                      made.trials >= 2 ? "u" : "", intervals ? "from" : "", intervals ? "to" : "", "unit");
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    std::string from, to;
+    if (intervals) {
+      const CoverageInterval& error = made.coverage[static_cast<std::size_t>(k)].symmetric;
+      from = fmt::format("{:+.2e}", -error.high);
+      to = fmt::format("{:+.2e}", -error.low);
+    }
+    const double u = joint.standard_uncertainty(k);
+    text +=
+        fmt::format("  {:<8}{:>13} {:>8.1e} {:>8.1e} {:>8} {:>10} {:>9}  {}\n", output_symbol(k),
+                    with_decimals(to_vector(study.value)(k), decimals_for(u), true), u, joint.expanded_95(k),
+                    made.trials >= 2 ? fmt::format("{:.1e}", made.standard_deviation(k)) : "", from, to,
+                    output_unit(k, study.response_unit));
+  }
+  if (intervals)
+    text += note_lines(
+        "From and to: the 95 % interval by Monte Carlo less the value, as value minus error gives it. U (95 "
+        "%) "
+        "is stated: u times k for 95 % and the result's degrees of freedom.",
+        "  ");
+  text += note_lines(made.note, "  ");
+  if (joint.solved_in_full > 0)
+    text += note_lines(
+        fmt::format("The trials are solved by the derivatives at the run's solution. {} were solved "
+                    "in full too: they differ by {:.1g} u (rms, the worst output).",
+                    joint.solved_in_full, joint.largest_deviation),
+        "  ");
+  if (study.no_trials.empty() && study.warnings.empty())
+    text += fmt::format("  No uncertainty differs by more than {:.0f} %.\n", 100.0 * kNamedDifference);
+  for (const std::string& warning : study.warnings) text += note_lines("WARNING: " + warning, "  ");
+  if (!study.validation.empty()) {
+    const auto good = std::count_if(study.validation.begin(), study.validation.end(),
+                                    [](const GumValidation& one) { return one.validated; });
+    text += fmt::format("  JCGM 101, section 8: first order and normal are validated for {} of {} outputs.\n",
+                        good, kStudyOutputs);
+  }
+  text += budget_text(study);
+  if (study.interrupted) text += "\nInterrupted: the results up to then.\n";
+  return text;
+}
+
 }  // namespace
 
 std::string study_text(const StudyResult& study) {
@@ -175,20 +290,21 @@ std::string study_text(const StudyResult& study) {
         text += fmt::format("  {} trials made.\n", one.monte_carlo->trials);
       }
       if (one.monte_carlo->trials >= 2) text += means_and_deviations(one);
-      text += wrapped(one.monte_carlo->note, "  ");
+      text += note_lines(one.monte_carlo->note, "  ");
     }
     if (one.largest_higher_harmonic) {
       text +=
           fmt::format("  Largest coefficient of harmonics 2 to 5: {:.1e} R\n", *one.largest_higher_harmonic);
     }
-    text += wrapped(one.note, "  ");
+    text += note_lines(one.note, "  ");
   }
-  for (const std::string& note : study.notes) text += wrapped(note, "");
+  for (const std::string& note : study.notes) text += note_lines(note, "");
   if (study.interrupted) text += "\nInterrupted: the results up to then.\n";
   return text;
 }
 
 std::string study_text(const RunUncertainty& study) {
+  if (study.joint) return joint_text(study);
   const MonteCarloResult& b = study.type_b;
   std::string text = fmt::format("Uncertainty of the ABC result of {}\n", study.source);
   text += fmt::format(
@@ -217,7 +333,7 @@ std::string study_text(const RunUncertainty& study) {
       "  u type B: alignment, turns, zeros and steps, by the published equations; u others: readings and all "
       "other effects, to first order; combined: Monte Carlo";
   text += study.paper_preset ? " for the interval, the paper's bounds for u.\n" : " of the whole budget.\n";
-  text += wrapped(study.combined.note, "  ");
+  text += note_lines(study.combined.note, "  ");
 
   text += "\nType A evaluation (paper, section 6): s and O fitted with the system's errors drawn around ";
   text += study.acs_measured ? "their measured means\n" : "zero (nothing measured), by their tolerances\n";
@@ -232,39 +348,10 @@ std::string study_text(const RunUncertainty& study) {
       text += "\n";
     }
   }
-  text += wrapped(study.type_a.note, "  ");
+  text += note_lines(study.type_a.note, "  ");
 
-  for (const int k : worst_of_each_kind(study.budget.combined)) {
-    text += fmt::format("\nBudget of {} ({}), the largest of its kind\n", output_symbol(k),
-                        output_unit(k, study.response_unit));
-    text += fmt::format("  {:<32}{:>11} {:<7}{:<12}{:>9} {:>11} {:>10} {:>6}\n", "input", "value", "unit",
-                        "distribution", "u", "sensitivity", "contrib.", "share");
-    for (const BudgetLine& line : study.budget.lines) {
-      text += fmt::format(
-          "  {:<32}{:>11} {:<7}{:<12}{:>9} {:>11} {:>10.2e} {:>5.1f}%\n", line.input, line.value, line.unit,
-          line.distribution,
-          std::isfinite(line.standard_uncertainty) ? fmt::format("{:.2e}", line.standard_uncertainty) : "",
-          study_number(line.sensitivity(k)), line.contribution(k), 100.0 * study.budget.share(line, k));
-    }
-    text +=
-        fmt::format("  {:<32}{:>52} {:>10.2e}\n", "combined, to first order", "", study.budget.combined(k));
-  }
-  text += "\nNot covered by this budget:\n";
-  for (const std::string& item : study.budget.not_covered) text += fmt::format("  - {}\n", item);
-  for (const std::string& note : study.budget.notes) text += wrapped(note, "  ");
-
-  if (!study.validation.empty()) {
-    text += "\nValidation of the GUM framework against Monte Carlo (JCGM 101, section 8)\n";
-    text += fmt::format("  {:<8}{:>10} {:>10} {:>10} {:>10}  {}\n", "", "U (95 %)", "d_low", "d_high",
-                        "delta", "");
-    for (int k = 0; k < kStudyOutputs; ++k) {
-      const GumValidation& v = study.validation[static_cast<std::size_t>(k)];
-      text += fmt::format("  {:<8}{:>10.2e} {:>10.2e} {:>10.2e} {:>10.2e}  {}{}\n", output_symbol(k),
-                          v.expanded_uncertainty, v.d_low, v.d_high, v.tolerance,
-                          v.validated ? "validated" : "not validated: use the Monte Carlo interval",
-                          v.decided ? "" : " (too few trials to be sure)");
-    }
-  }
+  text += budget_text(study);
+  text += validation_text(study);
   if (study.paper_preset) {
     text += "\nPreset \"paper\": bounds of Geist & Gaitan 2021, section 5, scaled by the norm of the row\n";
     for (const std::string& warning : study.warnings) text += fmt::format("  warning: {}\n", warning);

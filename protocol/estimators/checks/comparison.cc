@@ -110,22 +110,29 @@ IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covari
       comparison.chi2_probability = chi2_tail(chi2, comparison.degrees_of_freedom);
     }
   }
+  const double of_largest = chi2_tail(std::pow(2.0 * comparison.largest_e_n, 2), 1);
+  comparison.joint_probability =
+      comparison.chi2_probability.value_or(std::min(1.0, static_cast<double>(count) * of_largest));
   return comparison;
 }
 
-Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second) {
+Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second, AbcFormula formula) {
+  const auto change = [formula](const OutputEffect& effect) -> const Eigen::Matrix<double, 12, 1>& {
+    return formula == AbcFormula::kPublished ? effect.published_change : effect.change;
+  };
   const bool same_angles = first.step == second.step && first.steps == second.steps;
   // An angle measured twice in one run has two step errors of the same name: the first pair is common.
   std::map<std::string, Eigen::Matrix<double, 12, 1>> in_second;
-  for (const OutputEffect& effect : type_b_effects(second)) in_second.emplace(effect.name, effect.change);
+  for (const OutputEffect& effect : type_b_effects(second)) in_second.emplace(effect.name, change(effect));
   Covariance12 covariance = Covariance12::Zero();
   for (const OutputEffect& effect : type_b_effects(first)) {
     const bool of_one_angle = effect.name.starts_with("f_");
     // Effects of the item differ from run to run, or with its mounting.
     if (effect.of_item || (of_one_angle && !same_angles)) continue;
+    if (formula == AbcFormula::kPublished && !in_published_protocol(effect.key)) continue;
     const auto common = in_second.find(effect.name);
     if (common == in_second.end()) continue;
-    covariance += effect.change * common->second.transpose();
+    covariance += change(effect) * common->second.transpose();
     in_second.erase(common);
   }
   return covariance;

@@ -32,13 +32,24 @@ struct PropertyDifference {
   double e_n = std::numeric_limits<double>::quiet_NaN();
 };
 
+/// Results disagree if differences as large have a smaller probability than this: that of one |E_n| above 1
+/// by chance (both uncertainties normal, k = 2).
+inline constexpr double kAgreementLevel = 0.0455;
+
 struct IntrinsicComparison {
   std::array<PropertyDifference, 9> properties;  ///< NaN where either result does not give the property.
   std::optional<double> chi2;                    ///< All differences together, with their covariances.
   int degrees_of_freedom = 0;                    ///< Properties compared.
   std::optional<double> chi2_probability;        ///< P(chi2 >= found) if the two agree.
   double largest_e_n = 0.0;                      ///< Largest |E_n|.
-  bool agrees() const { return degrees_of_freedom > 0 && largest_e_n <= 1.0; }
+  /// Probability of differences as large or larger, all properties together, if the two agree:
+  /// chi2_probability; where the covariances allow no chi2, that of the largest |E_n| of so many (Bonferroni,
+  /// at most 1). The verdict follows it, and no single E_n.
+  double joint_probability = 0.0;
+
+  bool agrees() const { return degrees_of_freedom > 0 && joint_probability >= kAgreementLevel; }
+  /// How many of the compared properties have an |E_n| above 1 by chance, on average.
+  double expected_beyond() const { return kAgreementLevel * degrees_of_freedom; }
 };
 
 /// @param covariance_1, covariance_2  rows and columns of a property that is not given are not read
@@ -50,12 +61,17 @@ IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covari
                                       const IntrinsicValues& second, const Covariance9& covariance_2,
                                       const Covariance9& shared = Covariance9::Zero());
 
+/// The numbers of analyse_abc(): its line response, or those of the paper's own formula (PublishedResult).
+enum class AbcFormula { kLineResponse, kPublished };
+
 /// Covariance between the twelve outputs of analyse_abc() of two records measured on the same stage: its
 /// alignment, zeros and initial turns are taken to be the same both times, and its step errors if both runs
 /// have the same angles (record 1 in rows, 2 in columns; each in its own units). Effects of the item, such as
 /// drift, are independent.
+/// @param formula  kPublished: of PublishedResult, to whose uncertainty fewer effects belong
 /// @throws std::invalid_argument as type_b_effects()
-Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second);
+Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second,
+                           AbcFormula formula = AbcFormula::kLineResponse);
 
 /// Covariance of the nine elements of a sensitivity matrix, row by row.
 using MatrixCovariance = Eigen::Matrix<double, 9, 9>;

@@ -848,6 +848,61 @@ void correct_for_curvature(const RunRecord& record, const Selection& selection, 
   }
 }
 
+/// Type A covariance of the coefficients with the scatter of the plain fits, where the readings state none.
+std::optional<Covariance27> type_a_of_plain_fits(const Estimate& estimate) {
+  std::array<std::optional<double>, 3> variance;
+  for (std::size_t j = 0; j < 3 && !estimate.fits[j].weighted; ++j) {
+    double squares = 0.0;
+    int degrees = 0;
+    for (std::size_t i = j; i < estimate.fits.size(); i += 3) {
+      squares += estimate.fits[i].residual_sum_squares;
+      degrees += estimate.fits[i].degrees_of_freedom();
+    }
+    if (degrees > 0) variance[j] = squares / degrees;
+  }
+  return type_a_of_coefficients(estimate.fits, variance);
+}
+
+PublishedResult published_result(const Estimate& estimate, const CalibrationResult& result) {
+  const Eigen::Matrix<double, 12, 27>& equations = abc_equations();
+  std::optional<Covariance12> a;
+  if (const std::optional<Covariance27> of = type_a_of_plain_fits(estimate))
+    a = Covariance12(carried_covariance(equations, *of));
+  std::optional<Covariance12> b = Covariance12(Covariance12::Zero());
+  for (const InputEffect& effect : estimate.effects) {
+    if (!in_published_protocol(effect.key)) continue;
+    const Eigen::Matrix<double, 12, 1> change =
+        effect.standard_uncertainty *
+        product_with_vector(equations, effect_on_coefficients(effect, estimate.series, estimate.fits));
+    b->noalias() += change * change.transpose();
+  }
+  PublishedResult out;
+  const AbcOutputs values = abc_outputs(estimate.coefficients);
+  const Eigen::Matrix3d s = sensitivity_matrix_of(values);
+  const IntrinsicProperties intrinsic = intrinsic_properties(s);
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(s);
+  std::optional<Covariance9> a9, b9 = Covariance9(carried_covariance(jacobian, *b));
+  if (a) a9 = Covariance9(carried_covariance(jacobian, *a));
+  out.covariance = a ? Covariance12(*a + *b) : *b;
+  out.covariance_intrinsic = a9 ? Covariance9(*a9 + *b9) : *b9;
+  const std::string& per_g = (*result.sensitivity_matrix)[0][0].unit;
+  for (int j = 0; j < 3; ++j) {
+    const auto row = static_cast<std::size_t>(j);
+    for (int k = 0; k < 3; ++k) {
+      const Eigen::Index i = s_index(j, k);
+      out.sensitivity_matrix[row][static_cast<std::size_t>(k)] =
+          quantity(s(j, k), variance_at(a, i), variance_at(b, i), per_g);
+    }
+    out.offset[row] = quantity(values(offset_index(j)), variance_at(a, offset_index(j)),
+                               variance_at(b, offset_index(j)), result.response_unit);
+    out.intrinsic_sensitivity[row] =
+        quantity(intrinsic.sensitivity(j), variance_at(a9, j), variance_at(b9, j), per_g);
+    out.intrinsic_angle[row] =
+        quantity(intrinsic.angle_deg(j), variance_at(a9, 3 + j), variance_at(b9, 3 + j), "degree");
+  }
+  return out;
+}
+
 // Fills fits, outputs and the effects of the tolerances, before any judgement. Returns the reason if that is
 // impossible, else an empty string.
 std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
@@ -929,6 +984,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
 
   Objections objections;
   fill_outputs(estimate, result);
+  result.published = published_result(estimate, result);
   fill_flags(record, selection, result, objections);
   fill_fits(estimate, result, objections);
   fill_closures(estimate, result, objections);
@@ -954,6 +1010,12 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   return result;
 }
 
+bool in_published_protocol(std::string_view key) {
+  static constexpr std::array<std::string_view, 4> kOfThePaper{"alignment_deg", "initial_turn_deg",
+                                                               "zero_deg", "step_deg"};
+  return std::find(kOfThePaper.begin(), kOfThePaper.end(), key) != kOfThePaper.end();
+}
+
 std::vector<OutputEffect> type_b_effects(const RunRecord& record) {
   const Selection selection = select(record);
   std::string reason = refusal(record, selection);
@@ -965,8 +1027,8 @@ std::vector<OutputEffect> type_b_effects(const RunRecord& record) {
   for (const auto* list : {&estimate.effects, &estimate.curvature_effects}) {
     for (const InputEffect& effect : *list) {
       effects.push_back(
-          {effect.name, effect.group, effect.unit, effect.item != nullptr, effect.standard_uncertainty,
-           effect.standard_uncertainty * effect_on_outputs(effect, estimate),
+          {effect.name, effect.group, effect.key, effect.unit, effect.item != nullptr,
+           effect.standard_uncertainty, effect.standard_uncertainty * effect_on_outputs(effect, estimate),
            effect.standard_uncertainty *
                product_with_vector(abc_equations(),
                                    effect_on_coefficients(effect, estimate.series, estimate.fits))});

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "protocol/estimators/shared/calibration_result.h"
@@ -30,6 +31,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
 struct OutputEffect {
   std::string name;      ///< As in InputEffect: "Zx", "d2", "F_X", "f_1(3)", "drift u, of order 1".
   std::string group;     ///< As in InputEffect: one line of a budget.
+  std::string key;       ///< As in InputEffect: key of its size in the bench file.
   std::string unit;      ///< Unit of the input.
   bool of_item = false;  ///< True: an effect of the item, not of the stage.
   double standard_uncertainty = 0.0;  ///< That of the input, in its unit.
@@ -38,6 +40,11 @@ struct OutputEffect {
   /// Change by the ABC equations alone, without the correction for k2 and k3: the published protocol.
   Eigen::Matrix<double, 12, 1> published_change;
 };
+
+/// Whether an effect is one that the published protocol draws for its type B: alignment, turns, zeros and
+/// step errors of the stage (the paper's own sets have exact turns and zeros).
+/// @param key  key of its size in the bench file
+bool in_published_protocol(std::string_view key);
 
 /// The type B effects whose squares make covariance_type_b (without resolution), one for each input whose
 /// size is not zero: for budgets, and for covariances between results that have inputs in common.

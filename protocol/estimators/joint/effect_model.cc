@@ -182,6 +182,10 @@ void EffectModel::start_from_linear_fit() {
 
 /// Finds the signs for the hysteresis, once, from the linear solution.
 void EffectModel::find_directions() {
+  if (!options_.came_from.empty()) {
+    came_from_ = options_.came_from;
+    return;
+  }
   came_from_.assign(readings_.size(), Eigen::Vector3d::Zero());
   const Eigen::Matrix3d start = rows();
   const StageInputs perfect = StageInputs::Zero();
@@ -193,24 +197,57 @@ void EffectModel::find_directions() {
   }
 }
 
-Eigen::Matrix3d EffectModel::rows() const {
+Eigen::Matrix3d EffectModel::rows_of(const Eigen::VectorXd& value) const {
   Eigen::Matrix3d out;
-  for (int j = 0; j < 3; ++j) out.row(j) = value_.segment<3>(layout_.own_count() * j).transpose();
+  for (int j = 0; j < 3; ++j) out.row(j) = value.segment<3>(layout_.own_count() * j).transpose();
   return out;
 }
 
-StageInputs EffectModel::inputs_at(std::size_t n) const {
+StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
+                                   const std::vector<double>& steps) const {
   StageInputs inputs = StageInputs::Zero();
   const StageShare* shares = shares_.data() + n * layout_.stage.size();
   for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
-    const double p = value_(layout_.first_stage() + static_cast<int>(k));
+    const double p = value(layout_.first_stage() + static_cast<int>(k));
     inputs(shares[k].input) += shares[k].value * p;
     inputs(shares[k].second_input) += shares[k].second_value * p;
   }
   const int map = map_of(n);
   inputs(moving_angle_input(readings_[n].experiment)) +=
-      map >= 0 ? value_(layout_.first_map() + map) : step_[n];
+      map >= 0 ? value(layout_.first_map() + map) : steps[n];
   return inputs;
+}
+
+std::vector<Eigen::Vector3d> EffectModel::came_from_at(const Eigen::VectorXd& value,
+                                                       const std::vector<double>& steps) const {
+  std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
+  const Eigen::Matrix3d at_value = rows_of(value);
+  Eigen::Vector3d before = Eigen::Vector3d::Zero();
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const Eigen::Vector3d y = at_value * gravity_alone(poses_[n], inputs_at(n, value, steps));
+    if (n > 0) out[n] = signs_of_change(before, y);
+    before = y;
+  }
+  return out;
+}
+
+Eigen::VectorXd EffectModel::readings_at(const Eigen::VectorXd& value, const std::vector<double>& steps,
+                                         const std::vector<Eigen::Vector3d>& came_from) const {
+  Eigen::VectorXd out(3 * static_cast<Eigen::Index>(readings_.size()));
+  const Eigen::Matrix3d at_value = rows_of(value);
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const Eigen::Vector3d g = gravity_alone(poses_[n], inputs_at(n, value, steps));
+    const ItemPoint point{readings_[n].t, at_value * g, came_from[n]};
+    for (int j = 0; j < 3; ++j) {
+      const int first = layout_.own_count() * j;
+      double reading = point.y(j) + value(first + 3);
+      for (std::size_t i = 0; i < layout_.own.size(); ++i)
+        reading += layout_.own[i].effect->share(point, j, layout_.own[i].index).value *
+                   value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
+      out(3 * static_cast<Eigen::Index>(n) + j) = reading;
+    }
+  }
+  return out;
 }
 
 EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& rows) {
@@ -333,20 +370,20 @@ Rows12 EffectModel::line_rows() const {
   return out;
 }
 
-Vector12 EffectModel::line_values() const {
+Vector12 EffectModel::line_values_at(const Eigen::VectorXd& value) const {
   Vector12 out;
-  const Eigen::Matrix3d at_value = rows();
+  const Eigen::Matrix3d at_value = rows_of(value);
   for (int j = 0; j < 3; ++j) {
     const int first = layout_.own_count() * j;
     double scale = 1.0;
-    double offset = value_(first + 3);
+    double offset = value(first + 3);
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
       const LineShare share = layout_.own[i].effect->line(at_value, j, layout_.own[i].index);
-      const double p = value_(first + EffectLayout::kOwnFixed + static_cast<int>(i));
+      const double p = value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
       scale += share.scale * p;
       offset += share.offset * p;
     }
-    out.segment<3>(3 * j) = scale * value_.segment<3>(first);
+    out.segment<3>(3 * j) = scale * value.segment<3>(first);
     out(9 + j) = offset;
   }
   return out;

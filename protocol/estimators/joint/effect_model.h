@@ -71,7 +71,7 @@ class EffectModel {
   /// Gravity at an angle on the stage as it is at this point.
   GravityAt gravity(std::size_t n) const { return gravity_at(poses_[n], inputs_at(n)); }
   /// Relative rows of s, for u, v, w.
-  Eigen::Matrix3d rows() const;
+  Eigen::Matrix3d rows() const { return rows_of(value_); }
   /// Number of the shared step error of a reading; -1: none.
   int map_of(std::size_t n) const { return layout_.maps > 0 ? readings_[n].map : -1; }
   int experiment_of(std::size_t n) const { return readings_[n].experiment; }
@@ -85,7 +85,20 @@ class EffectModel {
 
   /// Derivatives of the line response by the unknowns (12 x unknowns), and its value.
   Rows12 line_rows() const;
-  Vector12 line_values() const;
+  Vector12 line_values() const { return line_values_at(value_); }
+  /// Line response at another value of the unknowns.
+  Vector12 line_values_at(const Eigen::VectorXd& value) const;
+
+  /// Signs for the hysteresis at each reading (ItemPoint::came_from): those of the fit.
+  const std::vector<Eigen::Vector3d>& came_from() const { return came_from_; }
+  /// The signs of the responses themselves at another point.
+  /// @param steps  eliminated step error of each reading (radian)
+  std::vector<Eigen::Vector3d> came_from_at(const Eigen::VectorXd& value,
+                                            const std::vector<double>& steps) const;
+  /// Readings of the model at another point, without derivatives (3 N).
+  /// @param came_from  as came_from() gives them
+  Eigen::VectorXd readings_at(const Eigen::VectorXd& value, const std::vector<double>& steps,
+                              const std::vector<Eigen::Vector3d>& came_from) const;
 
   /// Derivatives of the readings by the unknowns of the effects that are stated as zero: one column for each
   /// of these unknowns, which are appended to `unknowns`.
@@ -104,7 +117,9 @@ class EffectModel {
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_directions();
-  StageInputs inputs_at(std::size_t n) const;
+  Eigen::Matrix3d rows_of(const Eigen::VectorXd& value) const;
+  StageInputs inputs_at(std::size_t n) const { return inputs_at(n, value_, step_); }
+  StageInputs inputs_at(std::size_t n, const Eigen::VectorXd& value, const std::vector<double>& steps) const;
   /// The model at all angles, and the Jacobian (3 N x unknowns).
   void evaluate();
   At evaluate_at(std::size_t n, const Eigen::Matrix3d& rows);

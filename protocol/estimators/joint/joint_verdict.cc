@@ -30,6 +30,8 @@ constexpr double kFewestFree = 20.0;
 constexpr double kProcessTold = 0.5;
 /// A drift above this number of standard uncertainties is reported.
 constexpr double kDriftTold = 3.0;
+/// A chi2 is called low if one as low has a smaller probability: a false alarm in one of a thousand runs.
+constexpr double kLowChi2 = 1e-3;
 
 bool same_effect(const EffectUnknown& a, const EffectUnknown& b) {
   return a.effect == b.effect && a.output == b.output;
@@ -214,6 +216,47 @@ std::string words_about_noise(const EffectFit& fit, const RunRecord& record) {
       fit.noise.process_probability);
 }
 
+/// Keys of the effects that the run shows to be smaller than stated, and how many times; empty if none is
+/// clearly so.
+std::string smaller_effects(const std::vector<EffectTest>& effects) {
+  std::vector<const EffectTest*> smaller;
+  for (const EffectTest& test : effects) {
+    if (test.stated_zero || test.instead_of_noise || test.degrees_of_freedom < 1) continue;
+    const double below = chi2_lower_tail(test.chi2, test.degrees_of_freedom);
+    if (below < kLowChi2 / static_cast<double>(effects.size()) && test.times_stated > 0.0)
+      smaller.push_back(&test);
+  }
+  std::sort(smaller.begin(), smaller.end(),
+            [](const EffectTest* a, const EffectTest* b) { return a->times_stated < b->times_stated; });
+  constexpr std::size_t kNamed = 3;
+  if (smaller.size() > kNamed) smaller.resize(kNamed);
+  std::string words;
+  for (const EffectTest* test : smaller)
+    words += fmt::format("{}{} {:.2g}", words.empty() ? "" : ", ", test->key, 1.0 / test->times_stated);
+  return words;
+}
+
+/// chi2 in words, with what a low one means.
+std::string words_about_chi2(const EffectFit& fit, const JointTests& tests, Diagnostics& diagnostics) {
+  const double below = chi2_lower_tail(fit.chi2, fit.chi2_degrees_of_freedom);
+  diagnostics.chi2 = fit.chi2;
+  diagnostics.chi2_probability = tests.chi2_probability;
+  diagnostics.low_chi2_probability = below;
+  if (!(below < kLowChi2))
+    return fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})", fit.chi2,
+                       fit.chi2_degrees_of_freedom, tests.chi2_probability);
+  diagnostics.sizes_too_large = std::sqrt(fit.chi2_degrees_of_freedom / fit.chi2);
+  diagnostics.notes.push_back(fmt::format(
+      "chi2 is far below its degrees of freedom: the stated sizes of effects or the uncertainties of the "
+      "readings are too large, {:.3g} times over all; no uncertainty of the result is made smaller by it",
+      *diagnostics.sizes_too_large));
+  if (const std::string smaller = smaller_effects(tests.effects); !smaller.empty())
+    diagnostics.notes.push_back(fmt::format(
+        "stated sizes that are too large, and how many times by what this run shows: {}", smaller));
+  return fmt::format("chi2 {:.4g} for {} degrees of freedom, far below (probability of one as low {:.1g})",
+                     fit.chi2, fit.chi2_degrees_of_freedom, below);
+}
+
 /// Adds a note on the meaning of O where an offset drifted by more than its uncertainty explains.
 void note_drifts(CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) {
@@ -310,10 +353,7 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
   std::vector<std::string> contradictions;
   std::string about_chi2;
   if (options.white_known) {
-    diagnostics.chi2 = fit.chi2;
-    diagnostics.chi2_probability = tests.chi2_probability;
-    about_chi2 = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})", fit.chi2,
-                             fit.chi2_degrees_of_freedom, tests.chi2_probability);
+    about_chi2 = words_about_chi2(fit, tests, diagnostics);
     if (!(tests.chi2_probability >= tests.level)) {
       contradictions.push_back(about_chi2 +
                                ": the model does not explain the readings within their uncertainties");

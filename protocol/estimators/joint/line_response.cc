@@ -69,6 +69,11 @@ void average_line(const EffectModel& model, ShareGroups groups, std::span<const 
   fit.shares = std::move(groups.groups);
 }
 
+void keep_stated_noise(const LineAtNoise& at_stated, EffectFit& fit) {
+  fit.covariance_line.diagonal() +=
+      (at_stated.covariance.diagonal() - fit.covariance_line.diagonal()).cwiseMax(0.0);
+}
+
 void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& found,
                                     const ReadingRows& gain, EffectFit& fit) {
   const std::vector<NoiseAtAngle> angles = model.noise_at_angles(found.white);

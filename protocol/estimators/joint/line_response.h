@@ -33,6 +33,10 @@ ShareGroups share_groups(const EffectModel& model);
 void average_line(const EffectModel& model, ShareGroups groups, std::span<const LineAtNoise> lines,
                   std::span<const double> weights, EffectFit& fit);
 
+/// Readings that scatter less than stated may make a noise with a smaller white part probable. No variance of
+/// the line response becomes smaller by it: each is at least that at the stated white noise alone.
+void keep_stated_noise(const LineAtNoise& at_stated, EffectFit& fit);
+
 /// The variance of an output's estimated white noise is known to 2/nu (relative, squared).
 /// @param gain  derivative of the line response by the output's own readings, relative units
 void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& found,

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <span>
 #include <utility>
 
@@ -46,67 +47,66 @@ constexpr int kWhitePasses = 60;
 /// State of the search: log_weights are relative to white noise alone until they are normalised.
 class Search {
  public:
-  explicit Search(const EffectModel& model) : model_(model) {
-    if (!model.options().white_known) out_.white = estimate_white(model);
-    out_.points.push_back(solve_at(model, noise_of(0.0, 1.0, 1.0)));
-    out_.log_weights.push_back(model.options().noise_process ? std::log(0.5) : 0.0);
+  Search(const NoiseQuestion& question, const NoiseAnswer& at) : question_(question), at_(at) {
+    stated_ = at(NoiseCandidate{});
+    out_.push_back({NoiseCandidate{}, question.process ? std::log(0.5) : 0.0});
   }
 
   void try_processes() {
-    const auto readings = static_cast<double>(out_.points.front().whitened_residual.size());
     const bool of_stated_noise =
-        model_.options().white_known && out_.points.front().chi2 < kScattersLess * (readings - 12.0);
+        question_.white_known && stated_.chi2 < kScattersLess * (question_.readings - 12.0);
     if (of_stated_noise) try_smaller_white();
     // Prior probability that a process is combined with the stated white noise.
     const double beside = of_stated_noise ? 0.5 : 1.0;
     for (const CorrelationLength& length : kGrid) {
       const double prior = 0.5 * beside * length.prior / static_cast<double>(length.tau.size());
       for (const double tau : length.tau) {
-        const double gain = try_one(noise_of(tau, length.rho, 1.0), prior);
+        const double gain = try_one({tau, length.rho, 1.0}, prior);
         // Larger processes are less likely still.
-        if (tau > 0.5 && gain < *std::max_element(out_.log_weights.begin(), out_.log_weights.end()) - 20.0)
-          break;
+        if (tau > 0.5 && gain < largest() - 20.0) break;
       }
     }
     if (!of_stated_noise) return;
     constexpr double kPrior = 0.25 / static_cast<double>(kTauOfStatedNoise.size() * kRhoOfStatedNoise.size());
     for (const double tau : kTauOfStatedNoise) {
-      for (const double rho : kRhoOfStatedNoise) try_one(noise_of(tau, rho, kLittleWhite), kPrior);
+      for (const double rho : kRhoOfStatedNoise) try_one({tau, rho, kLittleWhite}, kPrior);
     }
   }
 
-  NoiseSearch normalised() && {
-    const double total = log_of_sum(out_.log_weights);
-    for (double& weight : out_.log_weights) weight -= total;
-    out_.log_evidence = out_.points.front().log_likelihood + total;
-    return std::move(out_);
+  ProbableNoises found() && {
+    std::vector<double> logs;
+    for (const ProbableNoise& one : out_) logs.push_back(one.log_weight);
+    const double total = log_of_sum(logs);
+    for (ProbableNoise& one : out_) one.log_weight -= total;
+    return {std::move(out_), stated_.log_likelihood + total};
   }
 
  private:
-  AssumedNoise noise_of(double tau, double rho, double white) const {
-    return {tau, rho, white * out_.white.white, model_.step_sd()};
+  double largest() const {
+    double most = out_.front().log_weight;
+    for (const ProbableNoise& one : out_) most = std::max(most, one.log_weight);
+    return most;
   }
 
   /// Gives white noise alone the probability that it has at the standard deviation that fits best.
   void try_smaller_white() {
-    const double stated = out_.points.front().log_likelihood;
     double gain = 0.0;
     for (const double white : kSmallerWhite)
-      gain = std::max(gain, solve_at(model_, noise_of(0.0, 1.0, white)).log_likelihood - stated);
-    out_.log_weights.front() += gain;
+      gain = std::max(gain, at_({0.0, 1.0, white}).log_likelihood - stated_.log_likelihood);
+    out_.front().log_weight += gain;
   }
 
-  double try_one(const AssumedNoise& noise, double prior) {
-    AtNoise point = solve_at(model_, noise);
-    const double gain = point.log_likelihood - out_.points.front().log_likelihood + std::log(prior);
+  double try_one(const NoiseCandidate& noise, double prior) {
+    const double gain = at_(noise).log_likelihood - stated_.log_likelihood + std::log(prior);
     if (gain < std::log(kNegligibleWeight) || !std::isfinite(gain)) return gain;
-    out_.points.push_back(std::move(point));
-    out_.log_weights.push_back(gain);
+    out_.push_back({noise, gain});
     return gain;
   }
 
-  const EffectModel& model_;
-  NoiseSearch out_;
+  const NoiseQuestion& question_;
+  const NoiseAnswer& at_;
+  NoiseLikelihood stated_;
+  std::vector<ProbableNoise> out_;
 };
 
 }  // namespace
@@ -188,10 +188,51 @@ std::size_t NoiseSearch::best() const {
                                   log_weights.begin());
 }
 
+ProbableNoises probable_noises(const NoiseQuestion& question, const NoiseAnswer& at) {
+  Search search(question, at);
+  if (question.process) search.try_processes();
+  return std::move(search).found();
+}
+
+std::vector<NoiseCandidate> noise_candidates(const NoiseQuestion& question) {
+  std::vector<NoiseCandidate> out{NoiseCandidate{}};
+  if (!question.process) return out;
+  for (const CorrelationLength& length : kGrid)
+    for (const double tau : length.tau) out.push_back({tau, length.rho, 1.0});
+  if (!question.white_known) return out;
+  for (const double white : kSmallerWhite) out.push_back({0.0, 1.0, white});
+  for (const double tau : kTauOfStatedNoise)
+    for (const double rho : kRhoOfStatedNoise) out.push_back({tau, rho, kLittleWhite});
+  return out;
+}
+
+AssumedNoise assumed_noise(const EffectModel& model, const WhiteFound& white,
+                           const NoiseCandidate& candidate) {
+  return {candidate.tau, candidate.rho, candidate.white * white.white, model.step_sd()};
+}
+
 NoiseSearch search_noise(const EffectModel& model) {
-  Search search(model);
-  if (model.options().noise_process) search.try_processes();
-  return std::move(search).normalised();
+  NoiseSearch out;
+  if (!model.options().white_known) out.white = estimate_white(model);
+  const NoiseQuestion question{model.options().noise_process, model.options().white_known,
+                               static_cast<double>(model.residual().size())};
+  std::map<NoiseCandidate, AtNoise> solved;
+  double stated = 0.0;
+  const ProbableNoises found = probable_noises(question, [&](const NoiseCandidate& candidate) {
+    AtNoise point = solve_at(model, assumed_noise(model, out.white, candidate));
+    const NoiseLikelihood likelihood{point.log_likelihood, point.chi2};
+    if (solved.empty()) stated = point.log_likelihood;
+    // The search leaves out those that are less likely, as their priors are below 1.
+    if (solved.empty() || point.log_likelihood - stated >= std::log(kNegligibleWeight))
+      solved.emplace(candidate, std::move(point));
+    return likelihood;
+  });
+  for (const ProbableNoise& one : found.noises) {
+    out.points.push_back(std::move(solved.at(one.noise)));
+    out.log_weights.push_back(one.log_weight);
+  }
+  out.log_evidence = found.log_evidence;
+  return out;
 }
 
 }  // namespace abcal

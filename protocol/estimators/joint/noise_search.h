@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <compare>
 #include <cstddef>
+#include <functional>
 #include <limits>
 #include <optional>
 #include <span>
@@ -58,6 +60,48 @@ struct NoiseSearch {
 
 /// The logarithm of the sum of exp(log), without overflow.
 double log_of_sum(std::span<const double> logs);
+
+/// A noise of the search; white alone, of the stated or estimated size, by default.
+struct NoiseCandidate {
+  double tau = 0.0;  ///< As in AssumedNoise.
+  double rho = 1.0;
+  double white = 1.0;  ///< White standard deviation over that stated or estimated.
+  auto operator<=>(const NoiseCandidate&) const = default;
+};
+
+/// Facts that the search knows of the readings at one noise.
+struct NoiseLikelihood {
+  double log_likelihood = 0.0;
+  double chi2 = 0.0;
+};
+using NoiseAnswer = std::function<NoiseLikelihood(const NoiseCandidate&)>;
+
+/// The rules that decide which noises are tried.
+struct NoiseQuestion {
+  bool process = true;      ///< false: the noise is white.
+  bool white_known = true;  ///< The readings' uncertainties are stated.
+  double readings = 0.0;    ///< Number of single outputs' readings, 3 N.
+};
+
+struct ProbableNoise {
+  NoiseCandidate noise;
+  double log_weight = 0.0;  ///< Logarithm of the posterior probability.
+};
+struct ProbableNoises {
+  std::vector<ProbableNoise> noises;  ///< White noise alone comes first, whatever its probability.
+  double log_evidence = 0.0;          ///< Evidence from all noises, on the scale of log_likelihood.
+};
+
+/// The rule of the search: which noises are tried, and their posterior probabilities.
+/// @param at  called once for each noise that is tried, first for white noise alone
+ProbableNoises probable_noises(const NoiseQuestion& question, const NoiseAnswer& at);
+
+/// Every noise that the search may try.
+std::vector<NoiseCandidate> noise_candidates(const NoiseQuestion& question);
+
+/// A candidate at the white noise of the readings.
+AssumedNoise assumed_noise(const EffectModel& model, const WhiteFound& white,
+                           const NoiseCandidate& candidate);
 
 /// Averages over a grid of noise processes by their restricted likelihoods, with a prior probability of 1/2
 /// for none.

@@ -102,9 +102,14 @@ struct Diagnostics {
   std::optional<double> chi2;  ///< From the estimator's own fit; absent without u of the readings.
   int degrees_of_freedom = 0;
   std::optional<double> chi2_probability;  ///< P(chi2 >= found) if the model is right.
-  double reciprocal_condition = 0.0;       ///< Smallest of the (column-scaled) designs of its fits, 0..1.
-  int rank = 0;                            ///< Smallest rank of its fits (abc: 3 is full).
-  int angles_used = 0;                     ///< Dwells in the fit.
+  /// P(chi2 <= found) if the model is right and its sizes are the stated ones; where chi2_probability is.
+  std::optional<double> low_chi2_probability;
+  /// How many times too large the stated sizes are over all, sqrt(degrees of freedom / chi2), where chi2 is
+  /// so far below its degrees of freedom that this is said. No uncertainty is made smaller by it.
+  std::optional<double> sizes_too_large;
+  double reciprocal_condition = 0.0;  ///< Smallest of the (column-scaled) designs of its fits, 0..1.
+  int rank = 0;                       ///< Smallest rank of its fits (abc: 3 is full).
+  int angles_used = 0;                ///< Dwells in the fit.
   int angles_flagged = 0;
   std::vector<FlagCount> flags;
   std::vector<Check> checks;
@@ -186,6 +191,19 @@ struct JointResult {
   std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
 };
 
+/// The ABC result by the paper's own formula (Geist & Gaitan 2021, Eqs. 5 to 10), without the correction for
+/// k2 and k3: the number that another laboratory's ABC result is compared with. It is not the line response:
+/// a non-linearity enters it as three circles see it. type_a: the readings; type_b: alignment, turns, zeros
+/// and step errors of the stage, to first order, as in the paper. No other effect is in its uncertainty.
+struct PublishedResult {
+  std::array<std::array<Quantity, 3>, 3> sensitivity_matrix;  ///< As in CalibrationResult.
+  std::array<Quantity, 3> offset;
+  std::array<Quantity, 3> intrinsic_sensitivity;
+  std::array<Quantity, 3> intrinsic_angle;
+  Covariance12 covariance = Covariance12::Zero();          ///< Type A, where it is known, and type B.
+  Covariance9 covariance_intrinsic = Covariance9::Zero();  ///< Likewise; phi in degrees.
+};
+
 /// Results that only the norm estimator gives.
 struct NormResult {
   int poses = 0;  ///< Poses used.
@@ -227,6 +245,7 @@ struct CalibrationResult {
   std::optional<ModelEquation> model_equation;
   std::optional<JointResult> joint;
   std::optional<NormResult> norm;
+  std::optional<PublishedResult> published;  ///< Only of the ABC estimator.
 
   /// The values of sensitivity_matrix as numbers; NaN where there is none.
   Eigen::Matrix3d sensitivity_values() const;

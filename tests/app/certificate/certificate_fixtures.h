@@ -17,7 +17,8 @@
 
 namespace abcal {
 
-/// A bench file for certificates. Tests change its text by `replaced`.
+/// A bench file for certificates. Tests change its text by `replaced`. Its accelerometer reports no identity,
+/// so that [item] may name any item.
 inline std::string certificate_bench() {
   return R"([bench]
 name = "bench 1"
@@ -36,8 +37,8 @@ name = "Operator N. N."
 driver = "pi_gcs"
 port = "simulated"
 [accelerometer]
-driver = "microstrain_mip"
-port = "simulated"
+driver = "simulated"
+response_unit = "g"
 rate_hz = 200.0
 [environment]
 temperature_degc = 23.0

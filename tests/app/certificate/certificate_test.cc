@@ -5,11 +5,11 @@
 
 #include <algorithm>
 #include <map>
-#include <numbers>
 
 #include "app/laboratory/certificate/dcc_xml.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/results/estimates/analyses.h"
+#include "protocol/plan/limits.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
@@ -199,14 +199,14 @@ TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScope) {
 // Entries of the scope, results and limits may be in different units of the same quantity.
 TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScopeInWhateverUnit) {
   const std::string scope =
-      "[[scope]]\nquantity = \"sensitivity\"\nunit = \"mg/g\"\nfrom = 500\nto = 2000\ncmc = 10\n"
+      "[[scope]]\nquantity = \"sensitivity\"\nunit = \"mg/g_n\"\nfrom = 500\nto = 2000\ncmc = 10\n"
       "[[scope]]\nquantity = \"angle\"\nunit = \"degree\"\nfrom = 80\nto = 100\ncmc = 0.5\n"
       "[[scope]]\nquantity = \"offset\"\nunit = \"mg\"\nfrom = 0\nto = 100\ncmc = 20\n\n[decision]";
   std::string laboratory = replaced(example_laboratory(), "[decision]", scope);
   for (const auto& [quantity, unit] :
        {std::pair<std::string, std::string>{"intrinsic_sensitivity_v", "g/(m/s2)"},
         {"sensitivity_ux", "g/g_loc"},
-        {"intrinsic_sensitivity_w", "mg/g"},
+        {"intrinsic_sensitivity_w", "mg/g_n"},
         {"non_orthogonality_uv", "mrad"},
         {"bias_w", "mg"},
         {"misalignment_u", "mrad"}})
@@ -219,14 +219,13 @@ TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScopeInWhateverUnit) {
     decided[decision.limit.quantity] = decision.expanded_uncertainty;
     EXPECT_DOUBLE_EQ(decision.expanded_uncertainty, decision.coverage_factor * decision.standard_uncertainty);
   }
-  EXPECT_NEAR(decided.at("intrinsic_sensitivity_v"), 0.010 / 9.80665, 1e-12);
-  EXPECT_NEAR(decided.at("sensitivity_ux"), 0.010 * 9.80101 / 9.80665, 1e-12);
-  EXPECT_NEAR(decided.at("intrinsic_sensitivity_u"), 0.010 * 9.80101 / 9.80665, 1e-12);
-  EXPECT_NEAR(decided.at("intrinsic_sensitivity_w"), 10.0, 1e-9);
-  EXPECT_NEAR(decided.at("non_orthogonality_uv"), 0.5 * std::numbers::pi / 0.180, 1e-9);
-  EXPECT_NEAR(decided.at("offset_w"), 0.020, 1e-12);
-  const double s_w = made.run.data.result().intrinsic_sensitivity[2].value;
-  EXPECT_NEAR(decided.at("bias_w"), 20.0 * 9.80101 / 9.80665 / s_w, 1e-9);
+  // Decisions are in SI units, with two digits of U: 10 mg/g_n, 0.5 degree, 20 mg.
+  for (const std::string s :
+       {"intrinsic_sensitivity_v", "sensitivity_ux", "intrinsic_sensitivity_u", "intrinsic_sensitivity_w"})
+    EXPECT_EQ(decided.at(s), 0.010) << s;
+  EXPECT_EQ(decided.at("non_orthogonality_uv"), 8.7);  // mrad
+  EXPECT_EQ(decided.at("offset_w"), 0.20);             // m/s2
+  EXPECT_EQ(decided.at("bias_w"), 0.20);
   EXPECT_LT(decided.at("misalignment_u"), 1.0);  // Includes the mounting: in no scope.
 
   const CertificateXml xml(checked_xml(made, nullptr));
@@ -292,7 +291,7 @@ TEST_F(MakeCertificateTest, ShiftsCompareWhatDoesNotDependOnTheMounting) {
   const Shift& offset = made.shifts.back();
   EXPECT_EQ(offset.name, "offset_w");
   EXPECT_NEAR(offset.difference.value, 0.5, 1e-12);
-  const double u = made.run.data.result().offset[2].standard_uncertainty;
+  const double u = made.run.stated.result.offset[2].standard_uncertainty;
   EXPECT_NEAR(offset.difference.standard_uncertainty, std::sqrt(2.0) * u, 1e-15);
   EXPECT_NEAR(offset.normalised_error, 0.5 / (2.0 * std::sqrt(2.0) * u), 1e-6);
   EXPECT_EQ(made.shifts.front().difference.value, 0.0);
@@ -301,7 +300,10 @@ TEST_F(MakeCertificateTest, ShiftsCompareWhatDoesNotDependOnTheMounting) {
 TEST_F(MakeCertificateTest, DecisionsAreThoseOfTheLimits) {
   const Certificate made = make_certificate(request());
   ASSERT_EQ(made.run.decisions.size(), 3U);
-  EXPECT_EQ(made.run.decisions[0].value, made.run.data.result().intrinsic_sensitivity[0].value);
+  const CalibrationResult& result = made.run.data.result();
+  EXPECT_NEAR(made.run.decisions[0].value,
+              result.intrinsic_sensitivity[0].value * kStandardGravity / result.g_loc.value,
+              made.run.decisions[0].expanded_uncertainty);
   EXPECT_EQ(made.run.decisions[0].conformity, Conformity::kPass);
   const Certificate tight =
       make_certificate(request(replaced(example_laboratory(), "upper = 1.02", "upper = 1.0021")));

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <clocale>
 #include <cmath>
@@ -12,16 +14,22 @@
 #include <random>
 #include <sstream>
 
+#include "app/ground/document/document_text.h"
 #include "app/laboratory/certificate/business_rules.h"
+#include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/certificate/schema_check.h"
+#include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/uncertainty/budget.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
 namespace abcal {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 
 class DccTest : public CertificateTest {
  protected:
@@ -130,12 +138,77 @@ TEST_F(DccTest, TheBudgetAddsUpToTheUncertainty) {
     for (std::size_t line = 1; line <= lines; ++line) {
       const auto contributions =
           xml.numbers("(//dcc:list[@refType='abc_budgetLine'])[" + std::to_string(line) +
-                      "]/dcc:quantity[@refType='abc_contribution'][1]/descendant::si:realListXMLList[last()]/"
-                      "si:valueXMLList");
-      squares += std::pow(contributions.at(12 + axis), 2);
+                      "]/dcc:quantity[@refType='abc_contribution'][1]/si:realListXMLList/si:valueXMLList");
+      squares += std::pow(contributions.at(9 + axis), 2);
     }
-    const double u = made.run.data.result().intrinsic_sensitivity[axis].standard_uncertainty;
+    // In m/s2 per m/s2, local gravity included, as on the first page.
+    const double u =
+        kStandardGravity *
+        stated_quantity(made.run.stated, std::string("intrinsic_sensitivity_") + kAccelerometers[axis])
+            ->standard_uncertainty;
     EXPECT_NEAR(std::sqrt(squares), u, 0.05 * u) << axis;  // Contributions have two digits.
+  }
+}
+
+// Every row of the budget contributes, and names its source; the readings, whose size the run estimated, have
+// their degrees of freedom on the page too.
+TEST_F(DccTest, EveryRowOfTheBudgetHasASourceAndDegreesOfFreedom) {
+  CertificateRequest asked = request();
+  as_if_real(asked.run);
+  for (DwellRecord& dwell : asked.run.record.dwells) dwell.u_mean.reset();
+  asked.run.results = {analyse_joint(asked.run.record)};
+  asked.run.budget = make_budget(asked.run.record, asked.run.result());
+  BudgetLine idle = asked.run.budget->lines.front();
+  idle.input = "a row that does not apply";
+  idle.contribution.setZero();
+  asked.run.budget->lines.push_back(idle);
+  const XmlDocument document = dcc_document(make_certificate(std::move(asked)));
+  EXPECT_EQ(to_string(check_business_rules(document)), "");
+  const std::string text = xml_text(document);
+  EXPECT_THAT(text, Not(HasSubstr("does not apply")));
+  const CertificateXml xml(text);
+  const std::size_t rows = xml.texts("//dcc:list[@refType='abc_budgetLine']/dcc:name").size();
+  const std::string of_row = "//dcc:list[@refType='abc_budgetLine']/dcc:measurementMetaData/dcc:metaData";
+  const auto sources = xml.texts(of_row + "[@refType='abc_source']/dcc:data/dcc:text/dcc:content");
+  EXPECT_EQ(sources.size(), rows);
+  EXPECT_THAT(sources,
+              testing::IsSupersetOf({"data sheet", "survey of 2025, EX-GRAV-7", "the readings of this run"}));
+  const std::string degrees = of_row + "[@refType='abc_degreesOfFreedom']//si:realListXMLList";
+  ASSERT_EQ(xml.texts(degrees + "/si:labelXMLList").size(), 1U) << "stated values have infinitely many";
+  const auto numbers = xml.numbers(degrees + "/si:valueXMLList");
+  // Where the readings hardly contribute, their share of the degrees of freedom is beyond 1000.
+  EXPECT_GE(numbers.size(), 12U);
+  for (const double nu : numbers) EXPECT_TRUE(nu >= 1.0 && nu < 1000.0) << nu;
+  const std::string page = document_text(certificate_page(text), stderr);
+  EXPECT_THAT(page, AllOf(HasSubstr("survey of 2025"), HasSubstr("the readings of this run")));
+}
+
+// A check of U, and no result: in XML and on the page, in either language, with the digits of one rounding.
+TEST_F(DccTest, TheMagnitudeOnHeldOutPosesIsOnTheCertificate) {
+  for (const char* language : {"en", "de"}) {
+    CertificateRequest asked = request(
+        replaced(example_laboratory(), "language = \"en\"", fmt::format("language = \"{}\"", language)));
+    ASSERT_TRUE(asked.run.held_out_norm) << "the run declares the joint estimator";
+    HeldOutNorm& norm = *asked.run.held_out_norm;
+    EXPECT_EQ(norm.poses, 39);  // 12 angles of each experiment, and the closing one
+    norm.rms = 1.23456e-5;
+    norm.rms_of_model = 2.34567e-6;
+    norm.rms_expected = 3.45678e-6;
+    norm.probability = 1e-7;
+    const XmlDocument document = dcc_document(make_certificate(std::move(asked)));
+    EXPECT_EQ(to_string(check_business_rules(document)), "");
+    const std::string text = xml_text(document);
+    const CertificateXml xml(text);
+    const std::string check = "//dcc:metaData[@refType='abc_heldOutNorm']";
+    EXPECT_THAT(xml.texts(check + "//si:value"), testing::ElementsAre("1.2e-05", "2.3e-06", "3.5e-06"));
+    EXPECT_EQ(xml.text(check + "/dcc:description/dcc:content/@lang"), language) << "every part is translated";
+    const std::string page = test::unwrapped(document_text(certificate_page(text), stderr));
+    const bool german = std::string_view(language) == "de";
+    EXPECT_THAT(page, HasSubstr(german ? "1,2 × 10⁻⁵ g_loc" : "1.2 × 10⁻⁵ g_loc"));
+    EXPECT_THAT(page, HasSubstr(german ? "MEHR ALS ZUFALL" : "MORE THAN CHANCE"));
+    EXPECT_THAT(page, HasSubstr(german ? "nicht unabhängig von g_loc" : "not independent of g_loc"));
+    EXPECT_THAT(
+        page, HasSubstr(german ? "Anzugsmoment der Befestigungsschrauben" : "torque of the mounting screws"));
   }
 }
 
@@ -179,7 +252,7 @@ TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
 
 TEST_F(DccTest, ANumberThatIsNotFiniteStopsItAndIsNamed) {
   Certificate made = certificate();
-  made.run.data.results.front().offset[2].value = std::numeric_limits<double>::quiet_NaN();
+  made.run.stated.result.offset[2].value = std::numeric_limits<double>::quiet_NaN();
   try {
     checked_xml(made, nullptr);
     FAIL();
@@ -187,7 +260,7 @@ TEST_F(DccTest, ANumberThatIsNotFiniteStopsItAndIsNamed) {
     EXPECT_THAT(refused.what(), HasSubstr("O_w is not a finite number"));
   }
   made = certificate();
-  (*made.run.data.results.front().covariance)(3, 4) = std::numeric_limits<double>::infinity();
+  (*made.run.stated.result.covariance)(3, 4) = std::numeric_limits<double>::infinity();
   EXPECT_THROW(checked_xml(made, nullptr), CertificateRefused);
 }
 
@@ -318,10 +391,12 @@ void scramble(Contact& contact, Chance& chance) {
 
 void scramble(Certificate& certificate, Chance& chance) {
   CertifiedRun& run = certificate.run;
-  CalibrationResult& result = run.data.results.front();
+  CalibrationResult& result = run.stated.result;
   scramble(result, chance);
+  run.data.results.front().why = result.why;
+  run.data.results.front().g_loc_source = result.g_loc_source;
   run.data.record.response_unit = result.response_unit;
-  for (DerivedGroup& group : run.derived) {
+  for (DerivedGroup& group : run.stated.derived) {
     for (DerivedQuantity& quantity : group.quantities) {
       scramble(quantity.value, chance,
                quantity.value.unit.find("g/(m/s2)") != std::string::npos ? result.response_unit + "/(m/s2)"
@@ -330,11 +405,13 @@ void scramble(Certificate& certificate, Chance& chance) {
     }
   }
   for (Decision& decision : run.decisions) {
-    decision.value = chance.number();
-    decision.standard_uncertainty = chance.not_negative();
+    scramble(
+        decision.quantity, chance,
+        decision.quantity.unit == "g/(m/s2)" ? result.response_unit + "/(m/s2)" : decision.quantity.unit);
     decision.guard_band = chance.number();
-    for (std::optional<double>* limit : {&decision.limit.lower, &decision.limit.upper,
-                                         &decision.lower_acceptance, &decision.upper_acceptance})
+    for (std::optional<double>* limit :
+         {&decision.limit.lower, &decision.limit.upper, &decision.stated.lower, &decision.stated.upper,
+          &decision.lower_acceptance, &decision.upper_acceptance})
       *limit = chance.coin() ? std::optional(chance.number()) : std::nullopt;
     decision.conformance_probability = chance.uniform();
     decision.conformity = static_cast<Conformity>(chance.below(4));
@@ -400,7 +477,7 @@ TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
         "si:valueXMLList");
     ASSERT_EQ(row.size(), 3U);
     for (std::size_t k = 0; k < 3; ++k) {
-      const Quantity& q = (*any.run.data.result().sensitivity_matrix)[0][k];
+      const Quantity& q = (*any.run.stated.result.sensitivity_matrix)[0][k];
       ASSERT_NEAR(row[k], q.value,
                   0.051 * coverage_factor(q) * q.standard_uncertainty + 1e-11 * std::abs(q.value))
           << "seed " << seed;

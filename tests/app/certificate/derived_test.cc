@@ -10,6 +10,7 @@
 #include <random>
 #include <stdexcept>
 
+#include "app/laboratory/certificate/stated_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 
 namespace abcal {
@@ -147,25 +148,24 @@ TEST(DerivedTest, AnAxisWithoutTransverseSensitivityHasNoAzimuthButAnUncertainty
 
 TEST(DerivedTest, UnitsThatACustomerAsksFor) {
   const CalibrationResult result = result_of(kMatrix, kOffset);
-  const auto all = by_name(result, {sensitivity_unit("mV/g", "V"), sensitivity_unit("uV/(m/s2)", "V")});
+  const auto all = by_name(result, {sensitivity_unit("mV/g_n", "V"), sensitivity_unit("uV/(m/s2)", "V")});
   const double per_mps2 = kMatrix.row(0).norm() / 9.81;
-  EXPECT_NEAR(all.at("intrinsic_sensitivity_u mV/g").value.value, per_mps2 * 9.80665 * 1e3, 1e-9);
+  EXPECT_NEAR(all.at("intrinsic_sensitivity_u mV/g_n").value.value, per_mps2 * 9.80665 * 1e3, 1e-9);
   EXPECT_NEAR(all.at("intrinsic_sensitivity_u uV/(m/s2)").value.value, per_mps2 * 1e6, 1e-6);
-  EXPECT_EQ(sensitivity_unit("LSB/g", "counts").output_factor, 1.0);
-  EXPECT_DOUBLE_EQ(sensitivity_unit("mg/g", "g").output_factor, 1e3);
-  EXPECT_THROW(sensitivity_unit("mV/g", "LSB"), std::invalid_argument);
+  EXPECT_EQ(sensitivity_unit("LSB/g_n", "counts").output_factor, 1.0);
+  EXPECT_DOUBLE_EQ(sensitivity_unit("mg/g_n", "g").output_factor, 1e3);
+  EXPECT_THROW(sensitivity_unit("mV/g_n", "LSB"), std::invalid_argument);
+  EXPECT_THROW(sensitivity_unit("mV/g", "V"), std::invalid_argument);  // Standard or local gravity.
   EXPECT_THROW(sensitivity_unit("mV", "V"), std::invalid_argument);
   EXPECT_THROW(sensitivity_unit("mV/s", "V"), std::invalid_argument);
 }
 
 TEST(DerivedTest, EveryNameThatLimitsMayUseIsThere) {
   const CalibrationResult result = result_of(kMatrix, kOffset);
-  const auto groups = derive(result, {});
-  for (const std::string& name : names_of_quantities())
-    EXPECT_FALSE(units_of(result, groups, name).empty()) << name;
-  EXPECT_THAT(units_of(result, groups, "intrinsic_sensitivity_u"),
-              testing::ElementsAre("V/g_loc", "V/(m/s2)"));
-  EXPECT_FALSE(find_quantity(result, groups, "offset_u", "mV"));
+  const StatedResult stated = stated_result(result, {}, {}, false);
+  for (const std::string& name : names_of_quantities()) EXPECT_TRUE(stated_quantity(stated, name)) << name;
+  EXPECT_EQ(stated_quantity(stated, "intrinsic_sensitivity_u")->unit, "V/(m/s2)");
+  EXPECT_FALSE(stated_quantity(stated, "intrinsic_sensitivity_x"));
 }
 
 TEST(DerivedTest, NothingFromAResultWithoutMatrixOrGravity) {

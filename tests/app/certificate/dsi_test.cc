@@ -4,10 +4,14 @@
 #include <cmath>
 #include <limits>
 #include <locale>
+#include <numbers>
 #include <random>
 #include <string>
+#include <tuple>
+#include <vector>
 
 #include "app/ground/units/dsi_unit.h"
+#include "app/ground/units/typed_unit.h"
 #include "app/ground/xml/xml_tree.h"
 #include "app/laboratory/certificate/dsi_list.h"
 
@@ -21,6 +25,10 @@ TEST(DsiUnitTest, UnitsInTheNotationOfDsi) {
   EXPECT_EQ(unit_in_dsi("(V/V)/g_loc").unit.text(), "\\one");
   EXPECT_EQ(unit_in_dsi("degree").unit.text(), "\\degree");
   EXPECT_EQ(unit_in_dsi("m/s2/(m/s2)").unit.text(), "\\one");
+  // A sensitivity of an output in m/s2, and an acceleration per output.
+  EXPECT_EQ(unit_in_dsi("(m/s2)/g_n").unit.text(), "\\one");
+  EXPECT_NEAR(unit_in_dsi("(m/s2)/g_n").factor, 1.0 / 9.80665, 1e-15);
+  EXPECT_EQ(unit_in_dsi("(m/s2)/mV").unit.text(), "\\metre\\second\\tothe{-2}\\milli\\volt\\tothe{-1}");
   EXPECT_EQ((DsiUnit("\\volt").to_the(2) * DsiUnit("\\degree")).text(), "\\volt\\tothe{2}\\degree");
 }
 
@@ -30,9 +38,14 @@ TEST(DsiUnitTest, UnitsOutsideTheSiAreDefined) {
   EXPECT_EQ(g.factor, 9.80665);
   EXPECT_EQ(g.own->text(), "|g");
   EXPECT_THAT(g.definition, testing::HasSubstr("9.80665 m/s2"));
-  const UnitInDsi per_g = unit_in_dsi("mV/g");
-  EXPECT_EQ(per_g.own->text(), "|mV/g");
+  const UnitInDsi per_g = unit_in_dsi("mV/g_n");
+  EXPECT_EQ(per_g.own->text(), "|mV/g_n");
   EXPECT_DOUBLE_EQ(per_g.factor, 1.0 / 9.80665);
+  // A limit per local gravity is a sensitivity, whose unit needs the value of local gravity.
+  const UnitInDsi per_local = unit_in_dsi("V/g_loc", 9.81);
+  EXPECT_EQ(per_local.own->text(), "|V/g_loc");
+  EXPECT_EQ(per_local.unit.text(), "\\volt\\second\\tothe{2}\\metre\\tothe{-1}");
+  EXPECT_DOUBLE_EQ(per_local.factor, 1.0 / 9.81);
   EXPECT_FALSE(unit_in_dsi("V").own);
 }
 
@@ -102,14 +115,36 @@ TEST(RoundedValueTest, RoundingIsWithinHalfOfTheLastDigit) {
   }
 }
 
-// ILAC-P14: no uncertainty below the laboratory's capability.
-TEST(CertifiedUncertaintyTest, IsNeverBelowTheScope) {
-  EXPECT_EQ(certified_uncertainty(2e-4, {}).expanded, 2e-4);
-  EXPECT_FALSE(certified_uncertainty(2e-4, {}).raised);
-  EXPECT_EQ(certified_uncertainty(2e-4, 1e-4).expanded, 2e-4);
-  EXPECT_FALSE(certified_uncertainty(2e-4, 2e-4).raised);
-  EXPECT_EQ(certified_uncertainty(2e-4, 3e-4).expanded, 3e-4);
-  EXPECT_TRUE(certified_uncertainty(2e-4, 3e-4).raised);
+// The same output, per four accelerations.
+TEST(TypedUnitTest, AUnitIsAnOutputAndWhatItIsPer) {
+  for (const auto& [name, output, per] : std::vector<std::tuple<std::string, std::string, PerAcceleration>>{
+           {"mV", "mV", PerAcceleration::kNone},
+           {"mV/(m/s2)", "mV", PerAcceleration::kSi},
+           {"mV/g_n", "mV", PerAcceleration::kStandard},
+           {"(mV/V)/g_loc", "mV/V", PerAcceleration::kLocal},
+           {"m/s2/(m/s2)", "m/s2", PerAcceleration::kSi},
+           {"g/g", "g", PerAcceleration::kUnnamed},
+           {"m/s2", "m/s2", PerAcceleration::kNone}}) {
+    EXPECT_EQ(typed_unit(name).output, output);
+    EXPECT_EQ(typed_unit(name).per, per) << name;
+  }
+  EXPECT_EQ(typed_unit("(mV/V)/g_loc").name(), "(mV/V)/g_loc");
+  std::vector<std::string> readings;
+  for (const TypedUnit& reading : readings_of(typed_unit("mg/g"))) readings.push_back(reading.name());
+  EXPECT_THAT(readings, testing::ElementsAre("mg/g_n", "mg/g_loc"));
+  EXPECT_EQ(readings_of(typed_unit("mg/g_n")).size(), 1U);
+}
+
+// 5.8e-4 between standard and local gravity, which is some 70 times the uncertainty of a sensitivity.
+TEST(TypedUnitTest, UnitsOfOneKindHaveARatio) {
+  constexpr double kGLoc = 9.80101;
+  EXPECT_EQ(ratio_of_units("g/g_loc", "g/g_loc", kGLoc), 1.0);
+  EXPECT_DOUBLE_EQ(*ratio_of_units("g/g_loc", "mg/g_n", kGLoc), 1e3 * 9.80665 / 9.80101);
+  EXPECT_DOUBLE_EQ(*ratio_of_units("V/g_n", "mV/(m/s2)", kGLoc), 1e3 / 9.80665);
+  EXPECT_DOUBLE_EQ(*ratio_of_units("degree", "mrad", kGLoc), std::numbers::pi / 0.18);
+  EXPECT_FALSE(ratio_of_units("V", "V/g_n", kGLoc));
+  EXPECT_FALSE(ratio_of_units("V/g_n", "LSB/g_n", kGLoc));
+  EXPECT_FALSE(ratio_of_units("degree", "%", kGLoc));
 }
 
 TEST(DsiNumberTest, WhatIsNotFiniteIsNamed) {

@@ -203,17 +203,140 @@ TEST_F(IssueTest, ANumberIsTheRegistersAndARunHasOneCertificate) {
 TEST_F(IssueTest, AnAmendmentNamesWhatItReplacesAndWhy) {
   const std::string first = issued({"--dcc", "a.xml"});
   EXPECT_EQ(abcal(issue({"--replaces", first})).exit_code, 2);
-  const std::string second =
-      issued({"--replaces", first, "--reason", "customer's address", "--dcc", "b.xml"});
+  const std::string second = issued({"--replaces", first, "--reason", "customer's address", "--amendment",
+                                     "administrative", "--dcc", "b.xml"});
   const CertificateXml query(test::read_file(folder / "b.xml"));
   EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:typeOfChange"), "amended");
   EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"), first);
   EXPECT_EQ(query.text("//dcc:previousReport/dcc:value"), sha256_of_file(folder / "a.xml"));
   EXPECT_THAT(query.text("//dcc:statement[@refType='abc_amendment']"), HasSubstr("customer's address"));
-  EXPECT_THAT(abcal(issue({"--replaces", first, "--reason", "again"})).err,
+  EXPECT_THAT(abcal(issue({"--replaces", first, "--reason", "again", "--amendment", "administrative"})).err,
               HasSubstr("--replaces " + second));
-  EXPECT_THAT(abcal(issue({"--replaces", "EX-0", "--reason", "other"})).err,
+  EXPECT_THAT(abcal(issue({"--replaces", "EX-0", "--reason", "other", "--amendment", "administrative"})).err,
               HasSubstr("--replaces " + second));
+}
+
+TEST_F(IssueTest, AnAdministrativeAmendmentChangesNoResultAndATechnicalOneListsEveryChange) {
+  const std::string first = issued({"--dcc", "a.xml"});
+  const std::string reason = "address of the customer";
+  const auto amend = [&](const std::string& number, const std::string& kind, const std::string& name) {
+    return abcal(issue({"--replaces", number, "--reason", reason, "--amendment", kind, "--dcc", name}));
+  };
+  const auto references = [&](const std::string& name) {
+    std::string all;
+    for (const std::string& one : CertificateXml(test::read_file(folder / name))
+                                      .texts("//dcc:statement[@refType='abc_amendment']/dcc:reference"))
+      all += one + "\n";
+    return all;
+  };
+  const std::string moved = replaced(example_laboratory(), "2 Example Street", "3 Example Street");
+  // A limit, the condition of the item, and the language, each under the reason "address of the customer".
+  for (const auto& [changed, found] :
+       {std::pair{replaced(moved, "upper = 1.02", "upper = 1.05"), "1.02"},
+        {replaced(moved, "no visible damage", "a scratch"),
+         "no visible damage → Condition on receipt: a scratch"},
+        {replaced(moved, "language = \"en\"", "language = \"de\""), "en → de"}}) {
+    test::write_file(folder / "lab.toml", changed);
+    const auto refused = amend(first, "administrative", "refused.xml");
+    EXPECT_EQ(refused.exit_code, 1) << found;
+    EXPECT_THAT(refused.err, AllOf(HasSubstr("an administrative amendment of certificate " + first +
+                                             " for the reason \"" + reason + "\" would change"),
+                                   HasSubstr(found), HasSubstr("or --amendment technical"),
+                                   Not(HasSubstr("3 Example Street"))));
+    EXPECT_FALSE(std::filesystem::exists(folder / "refused.xml"));
+  }
+  EXPECT_EQ(ResultsFile::certificates(folder / run).size(), 1U);
+
+  // The address alone may change, and is listed as the one change.
+  test::write_file(folder / "lab.toml", moved);
+  const auto second = amend(first, "administrative", "b.xml");
+  ASSERT_EQ(second.exit_code, 0) << second.err;
+  EXPECT_THAT(references("b.xml"), HasSubstr("2 Example Street → 3 Example Street\n"));
+  EXPECT_EQ(references("b.xml").find("scratch"), std::string::npos);
+
+  // A technical one may change a number, and lists it with its old and its new value.
+  test::write_file(folder / "lab.toml", replaced(moved, "upper = 1.02", "upper = 1.05"));
+  const auto third = amend(test::number_of(second.out), "technical", "c.xml");
+  ASSERT_EQ(third.exit_code, 0) << third.err;
+  EXPECT_THAT(references("c.xml"), testing::ContainsRegex("1\\.02.* → .*1\\.05"));
+  EXPECT_THAT(references("c.xml"), Not(HasSubstr("Example Street")));
+}
+
+TEST_F(IssueTest, ACertificateWithoutItsRunIsVerifiedWithItsStatus) {
+  const std::string number = issued({"--dcc", "a.xml"});
+  std::filesystem::remove(folder / run);
+  const auto verify = [&](std::vector<std::string> more = {}) {
+    more.insert(more.begin(), {"verify", "a.xml"});
+    return abcal(more);
+  };
+  const auto valid = verify();
+  EXPECT_EQ(valid.exit_code, 0) << valid.out << valid.err;
+  EXPECT_THAT(valid.out, AllOf(HasSubstr("it is not signed"), HasSubstr("valid, issued on 20"),
+                               HasSubstr("is as the laboratory issued it, and holds")));
+  EXPECT_EQ(abcal({"lab", "status", number}).exit_code, 0);
+  EXPECT_EQ(verify({"--require", "signed"}).exit_code, 2);
+
+  // A record that it rests on is withdrawn: the run of the certificate told the register which.
+  const auto affected = abcal({"lab", "affected", "EX-ANGLE-0815"});
+  EXPECT_THAT(affected.out, AllOf(HasSubstr("EX-ANGLE-0815: 1 run, 1 certificate\n"),
+                                  HasSubstr("calibration EX-ANGLE-0815: angle of the stage"),
+                                  HasSubstr("certificate " + number), HasSubstr("Example customer")));
+  EXPECT_THAT(abcal({"lab", "letters", "EX-ANGLE-0815", "-o", "letters"}).err,
+              HasSubstr("nothing of this name was withdrawn"));
+  registered->lab({"withdraw", "calibration", "EX-ANGLE-0815", "--reason", "encoder was loose"});
+  const auto doubtful = verify({"--json"});
+  EXPECT_EQ(doubtful.exit_code, 1);
+  EXPECT_THAT(doubtful.out, HasSubstr("it rests on calibration EX-ANGLE-0815, withdrawn on 20"));
+  registered->lab({"letters", "EX-ANGLE-0815", "-o", "letters"});
+  const std::string letter = test::read_file(folder / "letters" / "letter-01-Example-customer.html");
+  EXPECT_THAT(letter, AllOf(HasSubstr("DRAFT of a letter. Nothing was sent."), HasSubstr(number),
+                            HasSubstr("encoder was loose"), HasSubstr("2 Example Street")));
+
+  registered->lab({"withdraw", "certificate", number, "--reason", "wrong item"});
+  const auto withdrawn = verify({"--json"});
+  EXPECT_EQ(withdrawn.exit_code, 1);
+  const auto json = nlohmann::json::parse(withdrawn.out);
+  EXPECT_EQ(json["certificate"], number);
+  EXPECT_EQ(json["status"], "withdrawn");
+  EXPECT_EQ(abcal({"lab", "status", number}).exit_code, 1);
+
+  // Without a register and without a signature nothing shows that the file is the laboratory's.
+  test::TrainingRegister::leave();
+  const auto unknown = verify();
+  EXPECT_EQ(unknown.exit_code, 1);
+  EXPECT_THAT(unknown.out, AllOf(HasSubstr("nothing shows that the laboratory issued this file"),
+                                 HasSubstr("is known to the laboratory's register only")));
+}
+
+TEST_F(IssueTest, ACertificateOfAnotherItemIsNotReplaced) {
+  const std::string first = issued();
+  test::write_file(folder / "first.xml", ResultsFile::certificates(folder / "a.run").front().xml);
+  registered->log_in("Operator N. N.");
+  measure(replaced(certificate_bench(), "SN-42", "SN-43"), "other.run", folder);
+  measure(certificate_bench(), "again.run", folder);
+  registered->log_in("Approver N. N.");
+  const auto replace_by = [&](const std::string& measured) {
+    return abcal({"issue", measured, "--laboratory", "lab.toml", "--replaces", first, "--reason", "range",
+                  "--amendment", "technical", "--replaced", "first.xml"});
+  };
+  const auto other = replace_by("other.run");
+  EXPECT_EQ(other.exit_code, 2);
+  EXPECT_THAT(other.err, AllOf(HasSubstr("--replaced first.xml: certificate " + first +
+                                         " is of Maker M-3 SN-42, another item"),
+                               HasSubstr("required: one of Maker M-3 SN-43")));
+  EXPECT_TRUE(ResultsFile::certificates(folder / "other.run").empty());
+  const auto again = replace_by("again.run");
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+}
+
+TEST_F(IssueTest, ALaboratoryFileOfAnotherLaboratoryIsRefused) {
+  test::write_file(folder / "lab.toml", replaced(example_laboratory(), "name = \"Example laboratory\"",
+                                                 "name = \"Another house\""));
+  const auto refused = abcal(issue());
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.err, HasSubstr("[laboratory] name: found \"Another house\"; required: \"Example "
+                                     "laboratory\", the laboratory of the register"));
+  EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
 }
 
 TEST_F(IssueTest, WhoMeasuredCannotApprove) {
@@ -266,21 +389,22 @@ TEST_F(IssueTest, AllThatIsWrongIsSaidTogetherAndNothingIsWritten) {
   std::string laboratory = example_laboratory();
   laboratory = replaced(laboratory, "condition = \"no visible damage\"", "condition = \"\"");
   laboratory = replaced(laboratory, "due = 2030-12-31", "due = 1999-12-31");
-  laboratory = replaced(laboratory, "unit = \"g/g_loc\"", "unit = \"V/g_loc\"");
-  laboratory = replaced(laboratory, "sensitivity = [\"mg/g\"]", "sensitivity = [\"mV/g\"]");
+  laboratory = replaced(laboratory, "unit = \"g/g_n\"", "unit = \"V/g_loc\"");
+  laboratory = replaced(laboratory, "sensitivity = [\"mg/g_n\"]", "sensitivity = [\"mV/g_n\"]");
   test::write_file(folder / "lab.toml", laboratory);
   const std::string before = sha256_of_file(folder / (run + ".results"));
   const auto refused = abcal(issue({"--dcc", "a.xml"}));
   EXPECT_EQ(refused.exit_code, 2);
-  EXPECT_THAT(refused.err, AllOf(HasSubstr("[job] condition"), HasSubstr("due"), HasSubstr("1999-12-31"),
-                                 HasSubstr("one of \"g/g_loc\", \"g/(m/s2)\""), HasSubstr("mV/g")))
+  EXPECT_THAT(refused.err,
+              AllOf(HasSubstr("[job] condition"), HasSubstr("due"), HasSubstr("1999-12-31"),
+                    HasSubstr("one of \"g/(m/s2)\", \"g/g_n\", \"g/g_loc\""), HasSubstr("mV/g_n")))
       << refused.err;
   EXPECT_FALSE(std::filesystem::exists(folder / "a.xml"));
   EXPECT_EQ(sha256_of_file(folder / (run + ".results")), before);
 }
 
 TEST_F(IssueTest, AChangedCertificateIsFound) {
-  (void)issued({"--replaces", issued(), "--reason", "why"});
+  (void)issued({"--replaces", issued(), "--reason", "why", "--amendment", "technical"});
   for (const std::string sql :
        {"update certificate set xml = replace(xml, 'no visible', 'visible') where id = 1",
         "update certificate set reason = 'another' where id = 2",
@@ -303,6 +427,13 @@ TEST_F(IssueTest, ARunThatWasChangedGetsNoCertificate) {
   const auto refused = abcal(issue());
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err, HasSubstr("SHA-256"));
+}
+
+/// The X.509 certificate of a signature as its lines of Base64, without the line feed at the end.
+std::string x509_in(const std::string& xml) {
+  const std::string tag = "<ds:X509Certificate>";
+  const std::size_t from = xml.find(tag) + tag.size();
+  return xml.substr(from, xml.find("\n</ds:X509Certificate>") - from);
 }
 
 TEST_F(IssueTest, ASignatureIsVerifiedByXmlsec1) {
@@ -330,11 +461,52 @@ TEST_F(IssueTest, ASignatureIsVerifiedByXmlsec1) {
   EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
 
   const std::string number = issued(signing("key.pem", "cert.pem", {}));
-  (void)issued(signing("ec.pem", "ec-cert.pem", {"--replaces", number, "--reason", "why"}));
+  (void)issued(signing("ec.pem", "ec-cert.pem",
+                       {"--replaces", number, "--reason", "why", "--amendment", "technical"}));
   EXPECT_EQ(shell("xmlsec1 --verify --trusted-pem cert.pem key.pem.xml"), 0)
       << test::read_file(folder / "log");
   EXPECT_EQ(shell("xmlsec1 --verify --trusted-pem ec-cert.pem ec.pem.xml"), 0)
       << test::read_file(folder / "log");
+  // XAdES-BES: the signature also covers when and with which certificate it was made.
+  const CertificateXml signed_xml(test::read_file(folder / "key.pem.xml"));
+  EXPECT_EQ(signed_xml.texts("//ds:SignedInfo/ds:Reference").size(), 2U);
+  EXPECT_EQ(signed_xml.text("//ds:SignedInfo/ds:Reference[2]/@URI"),
+            "#" + signed_xml.text("//xades:SignedProperties/@Id"));
+  const auto accepted = abcal({"verify", "key.pem.xml"});
+  EXPECT_THAT(accepted.out, AllOf(HasSubstr("verifies by a key of Approver N. N.; XAdES-BES, signed on 20"),
+                                  HasSubstr("amended by")));
+  // A second certificate of the same key under another name, put in the place of the first.
+  ASSERT_EQ(
+      shell("openssl req -x509 -new -key key.pem -days 30 -out other.pem -subj '/CN=Another house' && "
+            "openssl x509 -in other.pem -outform DER -out other.der && base64 other.der | tee other.txt"),
+      0);
+  const std::string own = x509_in(test::read_file(folder / "key.pem.xml"));
+  test::write_file(folder / "exchanged.xml", replaced(test::read_file(folder / "key.pem.xml"), own,
+                                                      test::read_file(folder / "other.txt")));
+  const auto exchanged = abcal({"verify", "exchanged.xml"});
+  EXPECT_EQ(exchanged.exit_code, 1);
+  EXPECT_THAT(exchanged.out, HasSubstr("its certificate is not the one that was signed"));
+  // The time of signing is signed.
+  const std::string at = signed_xml.text("//xades:SigningTime");
+  test::write_file(folder / "other_time.xml",
+                   replaced(test::read_file(folder / "key.pem.xml"), at, "2020" + at.substr(4)));
+  EXPECT_NE(shell("xmlsec1 --verify --trusted-pem cert.pem other_time.xml"), 0);
+  EXPECT_EQ(abcal({"verify", "other_time.xml"}).exit_code, 1);
+  // A signature whose certificate was taken out is no unsigned certificate.
+  test::write_file(folder / "no_x509.xml", replaced(test::read_file(folder / "key.pem.xml"), own, ""));
+  EXPECT_THAT(abcal({"verify", "no_x509.xml"}).out, HasSubstr("it has no X.509 certificate"));
+  // Signed by version 1.0.0, whose signatures have no XAdES.
+  const std::string archived =
+      test::read_file(test::source_folder() / "tests/data/register_step_4/signed.xml");
+  test::write_file(folder / "v1.xml", archived);
+  test::write_file(folder / "v1.pem",
+                   "-----BEGIN CERTIFICATE-----\n" + x509_in(archived) + "\n-----END CERTIFICATE-----\n");
+  const std::string helper =
+      (std::filesystem::path(test::abcal_program()).parent_path() / "abcal-sign").string();
+  EXPECT_EQ(shell(helper + " verify v1.xml v1.pem"), 0) << test::read_file(folder / "log");
+  EXPECT_EQ(shell("xmlsec1 --verify --trusted-pem v1.pem v1.xml"), 0) << test::read_file(folder / "log");
+  test::write_file(folder / "v1.xml", replaced(archived, ">EX-2026-0001<", ">EX-2026-0002<"));
+  EXPECT_NE(shell(helper + " verify v1.xml v1.pem"), 0);
   // One digit changed, and it does not verify any more.
   const std::string xml = test::read_file(folder / "key.pem.xml");
   test::write_file(folder / "changed.xml", replaced(xml, number, "T-7"));

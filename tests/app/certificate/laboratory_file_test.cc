@@ -30,7 +30,7 @@ TEST(LaboratoryFileTest, TheExampleIsGoodAndRead) {
   EXPECT_EQ(read.file.decision->kind, DecisionKind::kGuardBand);
   EXPECT_EQ(read.file.limits.size(), 3U);
   EXPECT_FALSE(read.file.limits[2].lower);
-  EXPECT_THAT(read.file.units, ElementsAre("mg/g"));
+  EXPECT_THAT(read.file.units, ElementsAre("mg/g_n"));
 }
 
 TEST(LaboratoryFileTest, AnEmptyFileNamesEverythingThatIsMandatory) {

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/ground/bench_file/item_identity.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/certificate/page_numbers.h"
@@ -34,10 +35,13 @@ std::vector<std::string> sentences_of_sources() {
       "\\b(?:words|say|fact|identification)\\(((?:[^\"();]*\\?)?(?:from, [a-z]+, "
       ")?(?:\\s*:?\\s*\"(?:[^\"\\\\]|\\\\.)*\")+)"),
       kLiteral("(:?)\\s*\"((?:[^\"\\\\]|\\\\.)*)\"");
+  std::vector<std::filesystem::path> files{test::source_folder() /
+                                           "app/laboratory/issuing/withdrawal_letters.cc"};
   for (const auto& entry :
-       std::filesystem::directory_iterator(test::source_folder() / "app/laboratory/certificate")) {
-    if (entry.path().extension() != ".cc") continue;
-    const std::string source = test::read_file(entry.path());
+       std::filesystem::directory_iterator(test::source_folder() / "app/laboratory/certificate"))
+    if (entry.path().extension() == ".cc") files.push_back(entry.path());
+  for (const std::filesystem::path& file : files) {
+    const std::string source = test::read_file(file);
     for (std::sregex_iterator call(source.begin(), source.end(), kCall), end; call != end; ++call) {
       const std::string literals = (*call)[1];
       std::string sentence;
@@ -63,15 +67,19 @@ std::vector<std::string> words_of_data() {
     words.emplace_back(key.words);
     if (!key.uncovered.empty()) words.push_back(fmt::format("{} ({} not given)", key.uncovered, key.key));
   }
-  for (std::string& sentence : uncovered_effects_words({})) words.push_back(std::move(sentence));
+  for (const std::vector<ItemFact>* facts : {&kItemSettings, &kItemMounting})
+    for (const ItemFact& fact : *facts) words.emplace_back(fact.words);
+  for (std::string& sentence : uncovered_effects_words({}, Advice::kNone))
+    words.push_back(std::move(sentence));
   for (std::string name : names_of_quantities()) {
     name.resize(name.rfind('_'));
     std::replace(name.begin(), name.end(), '_', ' ');
     words.push_back(name);
   }
-  for (const char* word : {"pass", "conditionalPass", "conditionalFail", "fail", "angle", "gravity",
-                           "voltage", "temperature", "humidity", "pressure", "level", "other", "stage",
-                           "as found", "as left", "normal", "rectangular", "."})
+  for (const char* word :
+       {"pass",        "conditionalPass", "conditionalFail", "fail",       "angle",    "gravity", "voltage",
+        "temperature", "humidity",        "pressure",        "level",      "other",    "stage",   "as found",
+        "as left",     "normal",          "rectangular",     "triangular", "u-shaped", "."})
     words.emplace_back(word);
   return words;
 }
@@ -81,7 +89,7 @@ class WordsTest : public CertificateTest {};
 TEST_F(WordsTest, EveryLanguageHasEverySentence) {
   std::vector<std::string> sentences = sentences_of_sources();
   EXPECT_GT(sentences.size(), 150U);
-  for (const DerivedGroup& group : make_certificate(request()).run.derived)
+  for (const DerivedGroup& group : make_certificate(request()).run.stated.derived)
     if (group.name.find("ensitivity") == std::string::npos || group.name == "transverse_sensitivity")
       sentences.push_back(group.words);
   const std::vector<std::string> of_data = words_of_data();
@@ -106,12 +114,8 @@ TEST_F(WordsTest, ComposedSentencesAreTranslatedWithTheirValues) {
             "mitbestimmt");
   EXPECT_EQ(why.language, "de");
   // Values that are sentences in their turn.
-  EXPECT_EQ(german
-                .composed("not stated, so default sizes are used: drift; hysteresis; state them in "
-                          "[stage_uncertainty] and [item_uncertainty] of the bench file (docs/effects.md)")
-                .text,
-            "nicht angegeben, daher gelten voreingestellte Werte: Drift; Hysterese; anzugeben unter "
-            "[stage_uncertainty] und [item_uncertainty] der Messplatzdatei (docs/effects.md)");
+  EXPECT_EQ(german.composed("not stated, so default sizes are used: drift; hysteresis").text,
+            "nicht angegeben, daher gelten voreingestellte Werte: Drift; Hysterese");
   EXPECT_EQ(
       german
           .composed(

@@ -235,6 +235,9 @@ TEST_F(ForgeryTest, ADryRunThatIsMadeToLookRealIsRefused) {
       "'/dev/ttyUSB0' || "
       "char(39)) where key = 'bench_toml'");
   hash_again();
+  // A forger's laboratory file agrees with the simulated clock.
+  test::write_file(folder / "lab.toml",
+                   replaced(example_laboratory(), "received = 2026-01-05", "received = 1999-12-31"));
   expect_refused("is about another run");
   store({});
   expect_refused("not witnessed");

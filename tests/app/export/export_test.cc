@@ -124,9 +124,9 @@ TEST_F(ExportTest, TheConstantsTurnReadingsIntoLocalGravity) {
     const double worst = worst_norm_error(
         record, 1.0, [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return c.M * (r - c.b); });
     EXPECT_LT(worst, 1e-4);  // g_loc times 1e-5, the size of the default uncertainties.
-    EXPECT_TRUE((c.u_M.array() > 0.0).all() || frame == ExportFrame::kItem);
-    EXPECT_TRUE((c.u_M.diagonal().array() > 0.0).all());
-    EXPECT_TRUE((c.u_b.array() > 0.0).all());
+    EXPECT_TRUE((c.u_M().array() > 0.0).all() || frame == ExportFrame::kItem);
+    EXPECT_TRUE((c.u_M().diagonal().array() > 0.0).all());
+    EXPECT_TRUE((c.u_b().array() > 0.0).all());
   }
   const CorrectionConstants own = constants();
   EXPECT_NEAR(own.M(0, 1), 0.0, 1e-12) << "x along u";
@@ -263,7 +263,7 @@ TEST_F(ExportTest, IntegersCorrectAsFloatingPointDoesInAnyUnit) {
     ASSERT_THAT(header, HasSubstr("abcal_M_fixed")) << unit;
     EXPECT_EQ(export_format("c").left_out(c), "");
     double least_u = 1.0;
-    for (Eigen::Index j = 0; j < 3; ++j) least_u = std::min(least_u, kG * c.u_M(j, j) / c.M(j, j));
+    for (Eigen::Index j = 0; j < 3; ++j) least_u = std::min(least_u, kG * c.u_M()(j, j) / c.M(j, j));
     EXPECT_LT(difference_of_rules(header, run), 0.1 * least_u) << unit << " " << scale << "\n" << header;
   }
 }
@@ -289,8 +289,7 @@ TEST_F(ExportTest, IntegersThatWouldAddToTheUncertaintyAreLeftOut) {
   const std::string with = export_format("c").write(c);
   EXPECT_THAT(with, HasSubstr("enum { abcal_M_shift = "));
   EXPECT_THAT(with, HasSubstr("Error of a[j] at 1 g against the floating-point rule: at most "));
-  c.u_M *= 1e-5;
-  c.u_b *= 1e-5;
+  c.covariance *= 1e-10;  // Both uncertainties times 1e-5.
   const std::string without = export_format("c").write(c);
   EXPECT_THAT(without, testing::Not(HasSubstr("abcal_M_fixed")));
   EXPECT_THAT(without, HasSubstr("// Not as integers: rounding to 32-bit integers makes an error of "));
@@ -299,8 +298,8 @@ TEST_F(ExportTest, IntegersThatWouldAddToTheUncertaintyAreLeftOut) {
   c = constants();
   c.M *= 1e-9;  // 1e9 counts for 1 m/s2.
   c.b *= 1e9;
-  c.u_M *= 1e-9;
-  c.u_b *= 1e9;
+  c.covariance.topLeftCorner<9, 9>() *= 1e-18;
+  c.covariance.bottomRightCorner<3, 3>() *= 1e18;
   EXPECT_THAT(export_format("c").write(c), HasSubstr("do not fit into 32-bit integers"));
 }
 

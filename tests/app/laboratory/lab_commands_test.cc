@@ -199,7 +199,7 @@ TEST_F(RecordCommands, WhatARecordSaysIsShownUsedAndFrozenIntoTheRun) {
   write(
       "wobble_urad = { from = \"EX-ANGLE-0815\" }\nstep_deg = 0.001\n"
       "[item_uncertainty]\nvoltmeter_gain = { from = \"EX-VOLTMETER-17\" }\n");
-  const auto plan = abcal({"plan", "bench.toml"});
+  const auto plan = abcal({"plan", "bench.toml", "--full"});
   ASSERT_EQ(plan.exit_code, 0) << plan.err;
   // sqrt(3^2 + (8/2)^2)
   EXPECT_THAT(plan.out,
@@ -246,6 +246,12 @@ TEST_F(RecordCommands, EveryRecordThatCannotBeUsedIsNamedWithItsLineAndDates) {
           HasSubstr("required: the unit degree"),
           HasSubstr("[stage_uncertainty.step_smooth_deg] value: found a key of this name")));
   registered_->log_in("Approver N. N.");
+  write("[item_uncertainty]\nvoltmeter_gain = { from = \"EX-VOLTMETER-17\" }\n");
+  registered_->lab({"withdraw", "calibration", "EX-VOLTMETER-17", "--reason", "wrong range"});
+  EXPECT_THAT(
+      abcal({"run", "bench.toml"}).err,
+      testing::ContainsRegex("EX-VOLTMETER-17 of VM-1 .*withdrawn on 20.* because wrong range; required: a "
+                             "calibration that was not withdrawn"));
   registered_->lab({"retire", "equipment", "STAGE-1", "--reason", "sold"});
   write("wobble_urad = { from = \"EX-ANGLE-0815\" }\n");
   EXPECT_THAT(abcal({"run", "bench.toml"}).err, HasSubstr("which is retired since"));

@@ -150,6 +150,12 @@ TEST_P(RegisterTest, GivesANumberOnceAndARunOneCertificate) {
   NumberRequest amendment = request_for("a");
   amendment.replaces = "EX-2026-0001";
   amendment.reason = "address";
+  NumberRequest of_another = request_for("c");
+  of_another.replaces = amendment.replaces;
+  of_another.reason = amendment.reason;
+  of_another.item = "another one";
+  EXPECT_THAT(refusal([&] { made.reserve_number(approver, of_another, at(8)); }),
+              testing::AllOf(HasSubstr("another item"), HasSubstr("required: one of another one")));
   EXPECT_EQ(made.reserve_number(approver, amendment, at(8)).number, "EX-2026-0003");
   made.record_issued(approver, "EX-2026-0003", sha256_of("new xml"), "2026-03-01", at(9));
   ASSERT_EQ(made.certificates_of(sha256_of("a")).size(), 2U);

@@ -46,31 +46,32 @@ class BacklashNoteTest : public ProgramTest {
 
 TEST_F(BacklashNoteTest, EveryPlaceSaysThatBacklashIsNotTakenOut) {
   write_bench_with("approach_deg = 0.0\n");
-  EXPECT_THAT(abcal({"plan", "bench.toml"}).out, HasSubstr(words));
+  EXPECT_THAT(test::unwrapped(abcal({"plan", "bench.toml"}).out), HasSubstr(words));
   EXPECT_THAT(notes_of_plan(), Contains(HasSubstr(words)));
   ASSERT_NO_FATAL_FAILURE(run_and_report());
-  EXPECT_THAT(told_by_run, HasSubstr(words));
-  EXPECT_THAT(abcal({"analyse", "a.run"}).out, HasSubstr(words));
+  EXPECT_THAT(test::unwrapped(told_by_run), HasSubstr(words));
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run"}).out), HasSubstr(words));
   EXPECT_THAT(page, AllOf(HasSubstr(words), HasSubstr(not_covered)));
   EXPECT_THAT(abcal({"uncertainty", "a.run", "--trials", "1000"}).out, HasSubstr(not_covered));
-  EXPECT_THAT(abcal({"analyse", "a.run", "--estimator", "norm"}).out, Not(HasSubstr(words)))
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run", "--estimator", "norm"}).out), Not(HasSubstr(words)))
       << "uses no angles";
-  EXPECT_THAT(abcal({"analyse", "a.csv"}).out, Not(HasSubstr(words))) << "a CSV does not state it";
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.csv"}).out), Not(HasSubstr(words)))
+      << "a CSV does not state it";
 }
 
 TEST_F(BacklashNoteTest, ARunThatApproachesFromBelowSaysNothing) {
   write_bench_with("");
-  EXPECT_THAT(abcal({"plan", "bench.toml"}).out, Not(HasSubstr(words)));
+  EXPECT_THAT(test::unwrapped(abcal({"plan", "bench.toml"}).out), Not(HasSubstr(words)));
   EXPECT_THAT(notes_of_plan(), Not(Contains(HasSubstr(words))));
   ASSERT_NO_FATAL_FAILURE(run_and_report());
-  EXPECT_THAT(told_by_run, Not(HasSubstr(words)));
+  EXPECT_THAT(test::unwrapped(told_by_run), Not(HasSubstr(words)));
   EXPECT_THAT(page, AllOf(Not(HasSubstr(words)), Not(HasSubstr(not_covered))));
 }
 
 TEST_F(BacklashNoteTest, ThePlanAsJsonHasTheNotesOfItsText) {
   const std::string bench = BenchText{}.text();
   test::write_file(folder / "bench.toml", bench);
-  const std::string text = abcal({"plan", "bench.toml"}).out;
+  const std::string text = abcal({"plan", "bench.toml", "--full"}).out;
   const std::vector<std::string> notes = notes_of_plan();
   EXPECT_THAT(notes, Contains(HasSubstr("not covered: an offset that comes and goes")));
   for (const std::string& note : notes) EXPECT_THAT(text, HasSubstr("Note: " + note + ".\n"));

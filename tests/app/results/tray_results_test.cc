@@ -153,7 +153,7 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   EXPECT_EQ(second, all["items"][1]["result"]);
   const json alone = json::parse(run({"analyse", path, "--item", "2", "--estimator", "abc", "--json"}).out);
   EXPECT_EQ(alone["estimator"], "abc");
-  EXPECT_THAT(run({"analyse", path}).out, HasSubstr("Stage, from the readings of 2 items"));
+  EXPECT_THAT(run({"analyse", path, "--full"}).out, HasSubstr("Stage, from the readings of 2 items"));
   const test::ProgramResult no_such = run({"analyse", path, "--item", "4"});
   EXPECT_EQ(no_such.exit_code, 2);
   EXPECT_THAT(no_such.err, HasSubstr("has 3 items; required: 1 to 3"));
@@ -172,9 +172,27 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   EXPECT_THAT(exported.out, HasSubstr("s2"));
 }
 
+// The joint result of an item is that of the common fit, of which no Monte Carlo is made: the answer says so,
+// and has the common fit's own uncertainties and budget.
+TEST_F(TrayResultsTest, UncertaintyOfACommonFitIsItsOwnWithoutTrials) {
+  const auto json_of = [&](std::vector<std::string> arguments) {
+    arguments.insert(arguments.end(), {"--estimator", "joint", "--json"});
+    const test::ProgramResult result = test::run_program(arguments, folder.path());
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return json::parse(result.out);
+  };
+  const json study = json_of({"uncertainty", path, "--item", "2"});
+  EXPECT_EQ(study.at("estimator"), "joint");
+  EXPECT_TRUE(study.at("cases").empty());
+  EXPECT_THAT(study.at("no_trials").get<std::string>(), HasSubstr("common fit of several items"));
+  const AnalysedRun run = analyse_run(load_items(path), "joint");
+  EXPECT_EQ(study.at("posterior").at("standard_uncertainty").at("offset").at(0).get<double>(),
+            run.item(2).results.front().offset[0].standard_uncertainty);
+}
+
 TEST_F(TrayResultsTest, UncertaintyIsThatOfTheItem) {
   const auto run = [&](std::vector<std::string> arguments) {
-    arguments.insert(arguments.end(), {"--trials", "2000", "--json"});
+    arguments.insert(arguments.end(), {"--estimator", "abc", "--trials", "2000", "--json"});
     return test::run_program(arguments, folder.path());
   };
   const test::ProgramResult refused = run({"uncertainty", path});

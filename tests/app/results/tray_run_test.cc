@@ -52,8 +52,9 @@ temperature_degc = 23.0
 )" + quick_calibration(fmt::format("seed = {}\n", seed));
   for (int k = 1; k <= kItems; ++k)
     text += fmt::format(
-        "[[item]]\nmaker = \"Maker\"\nmodel = \"M-3\"\nserial_number = \"SN-{}\"\n[item.accelerometer]\n"
-        "driver = \"microstrain_mip\"\nport = \"simulated\"\nrate_hz = 200.0\n",
+        "[[item]]\nmaker = \"MicroStrain\"\nmodel = \"3DM-GV7-AR\"\nserial_number = \"SN-{0}\"\n"
+        "[item.accelerometer]\ndriver = \"microstrain_mip\"\nport = \"simulated\"\nrate_hz = 200.0\n"
+        "serial_number = \"SN-{0}\"\n",
         k);
   return text;
 }
@@ -155,12 +156,14 @@ TEST_F(TrayRunTest, EachItemHasACertificateOfItsOwn) {
   const std::string number = test::number_of(second.out);
   EXPECT_THAT(issue({"--item", "2"}).err, HasSubstr("--replaces " + number));
   // The certificate of another item cannot be replaced.
-  EXPECT_THAT(issue({"--item", "1", "--replaces", number, "--reason", "none"}).err,
-              HasSubstr("another item of this run"));
+  EXPECT_THAT(
+      issue({"--item", "1", "--replaces", number, "--reason", "none", "--amendment", "administrative"}).err,
+      HasSubstr("another item of"));
   const test::ProgramResult first = issue({"--item", "1"});
   ASSERT_EQ(first.exit_code, 0) << first.err;
   const test::ProgramResult amended =
-      issue({"--item", "2", "--replaces", number, "--reason", "customer's address", "--dcc", "2b.xml"});
+      issue({"--item", "2", "--replaces", number, "--reason", "customer's address", "--amendment",
+             "administrative", "--dcc", "2b.xml"});
   ASSERT_EQ(amended.exit_code, 0) << amended.err;
 
   const test::ProgramResult verified = abcal({"verify", "a.run"});
@@ -204,7 +207,8 @@ TEST_F(TrayRunTest, AnItemIsAnalysedByTheEstimatorThatTheRunDeclares) {
 
 TEST_F(TrayRunTest, AnItemIsComparedWithItsSimulatedTruth) {
   test::write_file(folder / "bench.toml", tray_bench());
-  const test::ProgramResult third = abcal({"analyse", "a.run", "--item", "3", "--truth", "bench.toml"});
+  const test::ProgramResult third =
+      abcal({"analyse", "a.run", "--item", "3", "--truth", "bench.toml", "--full"});
   EXPECT_EQ(third.exit_code, 0) << third.out;
   EXPECT_THAT(third.out, AllOf(HasSubstr("Compared with the simulated truth (joint estimator)"),
                                HasSubstr("Estimators side by side")));

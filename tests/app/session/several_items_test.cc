@@ -30,8 +30,10 @@ constexpr std::size_t kAnglesOfPlan = 18;
 
 std::string item(const std::string& driver, const std::string& serial_number, const std::string& more = "",
                  const std::string& simulation = "") {
-  return "[[item]]\nmodel = \"" + driver + "\"\nserial_number = \"" + serial_number + "\"\n" + more +
+  const bool reports = driver != "simulated" && driver != "witmotion";
+  return "[[item]]\nserial_number = \"" + serial_number + "\"\n" + more +
          "[item.accelerometer]\ndriver = \"" + driver + "\"\nport = \"simulated\"\nrate_hz = 200.0\n" +
+         (reports ? "serial_number = \"" + serial_number + "\"\n" : "") +
          (driver == "witmotion" ? "baud = 115200\n" : "") +
          (simulation.empty() ? "" : "[item.simulation]\n" + simulation);
 }
@@ -137,7 +139,7 @@ TEST_F(SeveralItemsTest, EightItemsOfFourDriversAreMeasuredInTheTimeOfOne) {
   items.push_back(item("microstrain_mip", "2", mounted(1)));
   items.push_back(item("microstrain_mip", "3", mounted(2)));
   items.push_back(item("vectornav", "4", mounted(3), kInMetres));
-  items.push_back(item("xsens_mti", "5", mounted(4), kInMetres));
+  items.push_back(item("xsens_mti", "03800005", mounted(4), kInMetres));
   items.push_back(item("witmotion", "6", mounted(5), "noise = 2e-3\n"));
   items.push_back(item("simulated", "7", mounted(6)));
   items.push_back(item("simulated", "8", "mounting = \"0.8 0.6 0  -0.6 0.8 0  0 0 1\"\n"));

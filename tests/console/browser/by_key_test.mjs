@@ -68,6 +68,7 @@ step('says so in German too', async (page) => {
   await page.locator('#certificate summary').first().click();
   await page.locator('#approve-by-key summary').click();
   await page.locator('#key-reason').fill('Kundenname');
+  await page.locator('#key-amendment').selectOption('administrative');
   await page.locator('#key-seen').check();
   await page.locator('#key-form button:enabled').click();
   await page.locator('#hand-in-form').waitFor();

@@ -11,14 +11,15 @@ const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../
 const emulated = process.env.ABCAL_DAY === 'emulated';
 const simulated = readFileSync(path.join(examples, 'simulated.toml'), 'utf8').replace('[operator]\nname = "Operator N. N."\n', '')
   .replace('steps = 72\nstep_deg = 5.0', 'steps = 12\nstep_deg = 30.0').replace('dwell_readings = 1000', 'dwell_readings = 50');
-const onTerminals = simulated.replace('port = "simulated"', 'port = "links/stage"').replace('port = "simulated"', 'port = "links/accelerometer"')
+// On terminals the instrument is the same whatever the queue names, so one that reports no identity.
+const onTerminals = simulated.replace('driver = "microstrain_mip"', 'driver = "text_line"').replace('port = "simulated"', 'port = "links/stage"').replace('port = "simulated"', 'port = "links/accelerometer"')
   .replace('settle_s = 5.0', 'settle_s = 0.5').replaceAll('speed_deg_per_s = 20.0', 'speed_deg_per_s = 60.0');
 const bench = emulated ? onTerminals : simulated, pace = emulated ? null : 500, paceWords = pace ? ['--pace', String(pace)] : [];
 
 const step = begin({pace, bench, serve: ['--laboratory', path.join(examples, 'laboratory.toml')], enter: () => {}, prepare: async () => {
   if (emulated) await served.emulate();
   const lab = makeRegister(served);
-  lab('add', 'item', '--maker', 'simulated', '--model', '3DM-GV7', '--serial-number', 'SN 0500');
+  lab('add', 'item', '--maker', 'MicroStrain', '--model', '3DM-GV7-AR', '--serial-number', 'SN 0500');
 }});
 
 step('checks the bench without motion, and levels it', async (page) => {

@@ -19,8 +19,8 @@ export const BENCH = `
 name = "Bench 3"
 g_loc_mps2 = 9.81
 [item]
-maker = "Example"
-model = "TA-3"
+maker = "MicroStrain"
+model = "3DM-GV7-AR"
 serial_number = "SN 0417"
 [operator]
 name = "N. N."
@@ -31,6 +31,7 @@ port = "simulated"
 driver = "microstrain_mip"
 port = "simulated"
 rate_hz = 200.0
+serial_number = "SN 0417"
 [protocol]
 steps = 12
 step_deg = 30.0

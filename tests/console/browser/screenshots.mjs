@@ -10,7 +10,7 @@ if (missing()) throw new Error(`no pictures: ${missing()}`);
 const root = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../..');
 const everything = process.argv[2];
 const folder = everything || path.join(root, 'docs/images');
-const example = readFileSync(path.join(root, 'docs/examples/simulated.toml'), 'utf8').replace('6284.123456', '6284-0417');
+const example = readFileSync(path.join(root, 'docs/examples/simulated.toml'), 'utf8').replace('6284.123456', '6284-0417').replace('rate_hz = 100.0', 'rate_hz = 100.0\nserial_number = "6284-0417"');
 const benchOf = (seed) => example.replace(/^seed = .*$/m, `seed = ${seed}`);
 
 mkdirSync(folder, {recursive: true});

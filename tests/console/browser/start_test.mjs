@@ -5,7 +5,7 @@ import {logIn, makeRegister} from './training_register.mjs';
 
 const step = begin({pace: 5, bench: ENDLESS.replace('[operator]\nname = "N. N."\n', ''), enter: () => {}, prepare: () => {
   const lab = makeRegister(served);
-  lab('add', 'item', '--maker', 'Example', '--model', 'TA-3', '--serial-number', 'SN 0500', '--owner', 'A customer');
+  lab('add', 'item', '--maker', 'MicroStrain', '--model', '3DM-GV7-AR', '--serial-number', 'SN 0500', '--owner', 'A customer');
 }});
 
 const yes = '#confirm-yes:enabled';
@@ -21,7 +21,7 @@ step('shows before the start what will be done, and what to look at', async (pag
   const facts = await text('#start-facts');
   for (const words of ['Bench 3', 'SIMULATED', 'Operator N. N. (logged in)', 'Predicted duration', '119 angles', 's (sensitivity, relative): ', 'Free disk space', 'none from the console'])
     assert.ok(facts.includes(words), `${words} in ${facts}`);
-  await says('#start-notices', /The register has no item TA-3 SN 0417/);
+  await says('#start-notices', /The register has no item 3DM-GV7-AR SN 0417/);
   await page.waitForFunction(() => document.activeElement.id === 'confirm-no');
   await look('start-form');
 });
@@ -36,7 +36,7 @@ step('takes a serial number from a scanner, which types and ends with Enter', as
   assert.ok(await page.locator('#confirm').isVisible(), 'Enter of a scanner starts and cancels nothing');
   await page.keyboard.type('<img src=x onerror=alert(1)>');
   await page.keyboard.press('Enter');
-  await page.getByText('The register has no item TA-3 <img src=x onerror=alert(1)>').waitFor();
+  await page.getByText('The register has no item 3DM-GV7-AR <img src=x onerror=alert(1)>').waitFor();
   assert.equal(await page.locator('#confirm img').count(), 0);
   await page.keyboard.type('SN 0500');
   await page.keyboard.press('Enter');

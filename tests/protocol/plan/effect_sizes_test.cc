@@ -35,6 +35,7 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
     value += 0.001;
   }
   sizes.sources["wobble_urad"] = "certificate 12";
+  sizes.shapes["zero_deg"] = Shape::kRectangular;
   const EffectSizes back = read_back(effect_size_entries(sizes));
   value = 0.001;
   for (const EffectSizeKey& key : effect_size_keys()) {
@@ -42,6 +43,7 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
     value += 0.001;
   }
   EXPECT_EQ(back.sources, sizes.sources);
+  EXPECT_EQ(back.shapes, sizes.shapes);
 }
 
 TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {

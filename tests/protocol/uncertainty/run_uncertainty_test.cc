@@ -1,5 +1,6 @@
 #include "protocol/uncertainty/run_uncertainty.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <array>
@@ -7,6 +8,7 @@
 #include <string>
 
 #include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b.h"
@@ -162,12 +164,12 @@ TEST(RunUncertaintyTest, TheBudgetCombinesToTheStatedUncertainty) {
 // The budget states the results of the check poses, which add nothing to the lines of the drifts.
 TEST(RunUncertaintyTest, TheBudgetSaysWhatTheCheckPosesShow) {
   RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5);
-  const auto line_of = [](const Budget& budget, const std::string& input) -> const BudgetLine* {
-    for (const BudgetLine& line : budget.lines)
-      if (line.input == input) return &line;
-    return nullptr;
+  const auto note_of = [](const Budget& budget) {
+    for (const std::string& note : budget.notes)
+      if (note.starts_with("Check poses")) return note;
+    return std::string();
   };
-  EXPECT_EQ(line_of(make_budget(record, analyse_abc(record)), "check poses, change of gain"), nullptr);
+  EXPECT_EQ(note_of(make_budget(record, analyse_abc(record))), "");
   const AccelerometerUnderTest aut = table_2_accelerometer();
   const std::array<CheckPose, kCheckPoses> poses = check_poses();
   for (const std::size_t after : {0U, 72U, 144U, 216U}) {
@@ -187,12 +189,13 @@ TEST(RunUncertaintyTest, TheBudgetSaysWhatTheCheckPosesShow) {
   }
   const CalibrationResult result = analyse_abc(record);
   const Budget budget = make_budget(record, result);
-  const BudgetLine* offset = line_of(budget, "check poses, change of offset");
-  ASSERT_NE(offset, nullptr);
-  ASSERT_NE(line_of(budget, "check poses, change of gain"), nullptr);
+  const std::string note = note_of(budget), of_offset = "of an offset ";
+  ASSERT_NE(note.find(of_offset), std::string::npos) << note;
+  EXPECT_THAT(note, testing::HasSubstr("change of a gain "));
   const double s_w = aut.sensitivity_matrix.row(2).norm();
-  EXPECT_NEAR(std::stod(offset->value), 4e-5 / s_w, 1e-6);
-  EXPECT_TRUE(offset->contribution.isZero(0.0));
+  EXPECT_NEAR(std::stod(note.substr(note.find(of_offset) + of_offset.size())), 4e-5 / s_w, 1e-6);
+  for (const BudgetLine& line : budget.lines)
+    EXPECT_FALSE(line.contribution.isZero(0.0)) << line.input << " does not apply";
   EXPECT_NEAR(budget.combined(9) / result.offset[0].standard_uncertainty, 1.0, 1e-9);
 }
 
@@ -238,6 +241,87 @@ TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
   fine.tolerances.alignment = fine.tolerances.step = fine.tolerances.initial_turn = fine.tolerances.zero =
       Angle::degrees(0.0008);
   EXPECT_TRUE(run_uncertainty(fine, options).warnings.empty());
+}
+
+// Per m/s2 a sensitivity is s / g_loc: its relative variance is the sum of both.
+TEST(RunUncertaintyTest, TheUncertaintyOfGravityIsARowOfSensitivitiesInSiUnits) {
+  RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5);
+  const BudgetLine* none = nullptr;
+  const auto gravity_of = [&](const Budget& budget) {
+    const BudgetLine* found = none;
+    for (const BudgetLine& line : budget.lines)
+      if (line.input == "g_loc") found = &line;
+    return found;
+  };
+  const CalibrationResult without = analyse_abc(record);
+  EXPECT_EQ(gravity_of(make_budget(record, without)), none) << "not known, so not a row";
+  record.g_loc = {9.81, 0.0, 2.0, "formula"};
+  record.g_loc_known = true;
+  const Budget unstated = make_budget(record, without);
+  EXPECT_EQ(gravity_of(unstated), none);
+  EXPECT_THAT(unstated.not_covered, testing::Contains(testing::HasSubstr("local gravity")));
+  record.g_loc = {9.81, 4e-4, 2.0, "gravimeter"};
+  const CalibrationResult result = analyse_abc(record);
+  const Budget budget = make_budget(record, result);
+  const BudgetLine* line = gravity_of(budget);
+  ASSERT_NE(line, none);
+  EXPECT_EQ(line->source, "gravimeter");
+  const std::vector<Quantity> quantities = quantities_of_outputs(result);
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    const Quantity& q = quantities[static_cast<std::size_t>(k)];
+    EXPECT_EQ(line->contribution(k), 0.0) << output_symbol(k);
+    const double expected = is_sensitivity(k)
+                                ? std::hypot(q.standard_uncertainty, q.value * 2e-4 / 9.81) / 9.81
+                                : budget.combined(k);
+    EXPECT_NEAR(budget.combined_per_mps2(k), expected, 1e-9 * expected) << output_symbol(k);
+    double shares = 0.0;
+    for (const BudgetLine& each : budget.lines) shares += budget.share_per_mps2(each, k);
+    EXPECT_NEAR(shares, 1.0, 1e-9) << output_symbol(k);
+  }
+  EXPECT_GT(budget.share_per_mps2(*line, kFirstIntrinsicSensitivity), 0.1);
+}
+
+// Welch and Satterthwaite's formula over the rows gives the degrees of freedom of the result.
+TEST(RunUncertaintyTest, EveryRowHasItsDegreesOfFreedomAndItsSource) {
+  RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-4, 12);
+  for (DwellRecord& dwell : record.dwells) dwell.u_mean.reset();
+  record.tolerances.sources = {{"alignment_deg", "certificate 12"}};
+  record.tolerances.shapes = {{"zero_deg", Shape::kRectangular}};
+  for (const CalibrationResult& result : {analyse_abc(record), analyse_joint(record)}) {
+    const Budget budget = make_budget(record, result);
+    const std::vector<Quantity> quantities = quantities_of_outputs(result);
+    for (int k = 0; k < kStudyOutputs; ++k) {
+      double sum = 0.0;
+      for (const BudgetLine& line : budget.lines)
+        sum += std::pow(line.contribution(k), 4) / line.degrees_of_freedom(k);
+      const double nu = std::pow(budget.combined(k), 4) / sum;
+      const double stated = quantities[static_cast<std::size_t>(k)].degrees_of_freedom;
+      EXPECT_TRUE(std::isfinite(stated)) << result.estimator << " " << output_symbol(k);
+      EXPECT_NEAR(nu / stated, 1.0, 1e-6) << result.estimator << " " << output_symbol(k);
+    }
+    for (const BudgetLine& line : budget.lines) {
+      EXPECT_FALSE(line.source.empty()) << line.input;
+      if (line.key == "alignment_deg") {
+        EXPECT_EQ(line.source, "certificate 12");
+      }
+      if (line.key == "step_deg") {
+        EXPECT_EQ(line.source, "default");
+      }
+      EXPECT_EQ(line.distribution, line.key == "zero_deg" ? "rectangular" : "normal") << line.input;
+    }
+  }
+}
+
+TEST(RunUncertaintyTest, WhatAnAssessorAsksForIsNamedAsNotCovered) {
+  RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5, 12);
+  record.g_loc_known = true;
+  const Budget budget = make_budget(record, analyse_abc(record));
+  for (const char* word : {"torque", "cable", "self-heating", "magnetic", "vibration", "height", "tide"}) {
+    bool named = false;
+    for (const std::string& source : budget.not_covered)
+      named = named || source.find(word) != std::string::npos;
+    EXPECT_TRUE(named) << word;
+  }
 }
 
 TEST(RunUncertaintyTest, TheNumberOfThreadsChangesNoBit) {

@@ -13,12 +13,18 @@ const TEXT = {
   byKey: t('Approve with a key'), keys: t('Your keys in the register'), make: t('Make the certificate to be signed'), download: t('Download the certificate to be signed'),
   howToSign: t('Sign it where your private key is:'), signedFile: t('The signed certificate'), handIn: t('Issue with this signature'), checking: t('The signature is being checked'),
   noKey: t('With a key approves who is logged in, and the register has none of yours that is valid (abcal lab key NAME --kind person).'),
+  amendment: t('Kind of amendment'), administrative: t('Administrative: no result and nothing of the item changes'), technical: t('Technical: every change is listed on the certificate'),
+  changed: t('Changed statements:'),
   busy: t('The certificate is being made'), training: t('TRAINING: it certifies nothing.'), amended: t('Amend it'),
 };
 
 const UNANSWERED = 'no answer came: nobody knows whether it was carried out; load the page again and look before you repeat it';
 
 const encoded = (name) => encodeURIComponent(name);
+const statusOf = ({status, holds}) => status ? [' ', element('strong', {class: holds ? '' : 'grade-problem'}, said(status))] : [];
+// The kind of an amendment: nothing is chosen beforehand.
+const kindChoice = (id) => element('select', {id, required: true}, element('option', {value: ''}, DASH),
+  element('option', {value: 'administrative'}, TEXT.administrative), element('option', {value: 'technical'}, TEXT.technical));
 const line = ({number, date, approved_by: approver, replaces, reason}) => t`${number}, issued ${date}, approved by ${approver}` + (replaces ? t`; replaces ${replaces}: ${reason}` : '');
 
 // The path at the console of an item of a run. item 0: the run has one item.
@@ -43,7 +49,7 @@ async function fill(of, body, changed) {
     return body.replaceChildren(problem(said(error.message || error)));
   }
   const {certificates} = state;
-  const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, of.item ? TEXT.noneOfItem : TEXT.none);
+  const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one), ...statusOf(one)))) : element('p', {}, of.item ? TEXT.noneOfItem : TEXT.none);
   if (state.why_not) return body.replaceChildren(list, element('p', {}, said(state.why_not)));
   const forms = [approvalForm(of, state, changed), keyForm(of, state, changed)];
   body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), ...forms)] : forms));
@@ -67,7 +73,8 @@ async function ask(told, words, path, body) {
 }
 
 function tellIssued(told, issued, changed) {
-  told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')));
+  told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')),
+    ...(issued.changed?.length ? [element('p', {}, TEXT.changed), element('ul', {}, ...issued.changed.map((one) => element('li', {}, one)))] : []));
   changed();
 }
 
@@ -80,17 +87,17 @@ function keyForm(of, state, changed) {
   }
   const last = state.certificates.at(-1);
   const seen = element('input', {id: 'key-seen', type: 'checkbox', required: true});
-  const reason = element('input', {id: 'key-reason', required: true, autocomplete: 'off', maxlength: 200});
+  const reason = element('input', {id: 'key-reason', required: true, autocomplete: 'off', maxlength: 200}), kind = kindChoice('key-amendment');
   const make = element('button', {}, TEXT.make), told = element('p', {id: 'key-said', role: 'status'}), second = element('div', {});
   const form = element('form', {id: 'key-form'},
     element('p', {}, `${TEXT.keys} (${state.person}):`), element('ul', {}, ...state.keys.map((key) => element('li', {}, element('code', {}, key.fingerprint)))),
-    ...(last ? [labelled(TEXT.reason, reason)] : []), element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), make);
+    ...(last ? [labelled(TEXT.reason, reason), labelled(TEXT.amendment, kind)] : []), element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), make);
   form.addEventListener('submit', async (event) => {
     event.preventDefault();
     if (make.disabled) return;
     make.disabled = true;
     const made = await ask(told, TEXT.busy, '/approve', new URLSearchParams({...namedIn(of), run_sha256: state.run_sha256, by_key: 'yes',
-      ...(last ? {replaces: last.number, reason: reason.value} : {})}));
+      ...(last ? {replaces: last.number, reason: reason.value, amendment: kind.value} : {})}));
     make.disabled = false;
     if (!made) return;
     told.textContent = t`${made.number} waits for your signature.`;
@@ -121,19 +128,19 @@ function handInForm(of, made, told, changed) {
 function approvalForm(of, state, changed) {
   const last = state.certificates.at(-1);
   const input = (id, attributes) => element('input', {id: `approve-${id}`, required: true, autocomplete: 'off', maxlength: 200, ...attributes});
-  const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'});
+  const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'}), kind = kindChoice('approve-amendment');
   approver.value = state.measured_by.split(', ').includes(state.person) ? '' : state.person;
   const button = element('button', {class: 'go'}, last ? TEXT.amend : TEXT.approve), told = element('p', {id: 'approve-said', role: 'status'});
   const form = element('form', {id: 'approve-form', class: 'no-print'},
     element('p', {}, t`Measured by ${state.measured_by || DASH}. `, TEXT.fourEyes),
-    element('div', {class: 'pair'}, labelled(TEXT.approver, approver), labelled(TEXT.password, password), ...(last ? [labelled(TEXT.reason, reason)] : [])),
+    element('div', {class: 'pair'}, labelled(TEXT.approver, approver), labelled(TEXT.password, password), ...(last ? [labelled(TEXT.reason, reason), labelled(TEXT.amendment, kind)] : [])),
     element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), button, told);
   form.addEventListener('submit', async (event) => {
     event.preventDefault();
     if (button.disabled) return;
     button.disabled = true;
     const fields = {...namedIn(of), run_sha256: state.run_sha256, name: approver.value, password: password.value};
-    if (last) Object.assign(fields, {replaces: last.number, reason: reason.value});
+    if (last) Object.assign(fields, {replaces: last.number, reason: reason.value, amendment: kind.value});
     password.value = '';
     const issued = await ask(told, TEXT.busy, '/approve', new URLSearchParams(fields));
     if (issued) tellIssued(told, issued, changed);

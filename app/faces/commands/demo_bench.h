@@ -1,0 +1,19 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+namespace abcal {
+
+/// The bench file of `abcal demo`: docs/examples/emulated.toml with the ports in `folder` and fewer angles.
+/// @param folder  absolute
+/// @param steps  angles of each experiment
+/// @throws std::invalid_argument if 360 degrees are no whole number of degrees for each step
+std::string demo_bench(const std::filesystem::path& folder, int steps);
+
+/// Writes the bench file into the folder, as "bench.toml" or under the first free name: a file of another
+/// content stays as it is.
+/// @return its path
+std::filesystem::path write_demo_bench(const std::filesystem::path& folder, int steps);
+
+}  // namespace abcal
