@@ -104,6 +104,13 @@ export default {
   'an output that does not change at all may be stuck: touch the bench and check whether it changes': 'ein Ausgang, der sich gar nicht ändert, kann eingefroren sein: den Messplatz berühren und sehen, ob er sich ändert',
   'set rate_hz to the rate of the instrument': 'rate_hz auf die Rate des Geräts setzen',
   'use a better cable, a higher baud rate or a lower rate_hz': 'ein besseres Kabel, eine höhere Baudrate oder eine kleinere rate_hz verwenden',
+  // The status of a certificate.
+  'TRAINING, certifies nothing': 'TRAINING, bescheinigt nichts',
+  'valid, issued on {}': 'gültig, ausgestellt am {}',
+  'amended by {} on {}': 'geändert durch {} am {}',
+  'withdrawn on {} because {}': 'zurückgezogen am {}, Grund: {}',
+  'it rests on calibration {}, withdrawn on {} because {}': 'er beruht auf der Kalibrierung {}, zurückgezogen am {}, Grund: {}',
+  'not issued: its number is given': 'nicht ausgestellt: Die Nummer ist vergeben',
   // Warnings of a start form.
   'The item has no serial number: the run will have the one that the instrument reports.': 'Der Prüfling hat keine Seriennummer: Der Lauf bekommt die, die das Gerät meldet.',
   'Run {} was interrupted: {} of {} angles are measured. It can be resumed instead.': 'Der Lauf {} wurde unterbrochen: {} von {} Winkeln sind gemessen. Er kann stattdessen fortgesetzt werden.',
@@ -113,6 +120,10 @@ export default {
   '[operator] name in the bench file is "{}", but {} is logged in; required: the person who is logged in, or no name': '[operator] name in der Messplatzdatei ist „{}“, angemeldet ist {}; verlangt: die angemeldete Person oder kein Name',
   'The travel of the stage is not in the bench file: -360 to 360 degrees is assumed here; the run asks the stage.': 'Der Verfahrbereich des Drehtisches steht nicht in der Messplatzdatei: Hier wird -360 bis 360 Grad angenommen; der Lauf fragt den Drehtisch.',
   'Sizes of effects: {}.': 'Größen der Einflüsse: {}.',
+  'not stated, so default sizes are used: {}; state them in [stage_uncertainty] and [item_uncertainty] of the bench file (docs/effects.md)':
+    'nicht angegeben, daher gelten voreingestellte Werte: {}; anzugeben unter [stage_uncertainty] und [item_uncertainty] der Messplatzdatei (docs/effects.md)',
+  'not stated, so not covered: an offset that comes and goes 2 to 6 times in the run, as with air conditioning; state its size, or 0, as [item_uncertainty] cyclic_drift (docs/effects.md)':
+    'nicht angegeben, daher nicht erfasst: ein Nullsignal, das während der Messung zwei- bis sechsmal kommt und geht, wie mit einer Klimaanlage; seine Größe oder 0 ist als [item_uncertainty] cyclic_drift anzugeben (docs/effects.md)',
   'The noise of a reading is not known from run {}: {}': 'Das Rauschen einer Ablesung ist aus dem Lauf {} nicht bekannt: {}',
   'This bench has not been checked from the console yet.': 'Dieser Messplatz wurde von hier aus noch nicht geprüft.',
   'The last check of this bench found {} problems.': 'Die letzte Prüfung dieses Messplatzes fand {} Probleme.',
