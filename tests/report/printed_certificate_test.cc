@@ -319,6 +319,7 @@ TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
   // Three pages are for the customer in this language, too.
   ASSERT_TRUE(shell("pdftotext -layout -f 3 -l 3 de.pdf 3.txt && pdftotext -layout -f 2 -l 2 de.pdf 2.txt"));
   EXPECT_THAT(file("3.txt"), HasSubstr("Verantwortliche und Unterschriften"));
+  EXPECT_THAT(file("2.txt"), HasSubstr("Bild 1: Angegebene Montage"));
   EXPECT_THAT(file("2.txt"), testing::Not(HasSubstr("Anhang")));
 }
 

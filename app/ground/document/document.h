@@ -72,6 +72,7 @@ struct Section {
 struct Document {
   std::string language = "en";  ///< ISO 639-1.
   std::string page_words = "page {} of {}";
+  std::string figure_words = "Figure {}: {}";  ///< Number and caption of a figure.
   std::string title;
   std::string subtitle;
   std::string identification;  ///< Identification of run and item; on every page.

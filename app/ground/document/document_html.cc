@@ -511,7 +511,8 @@ class PageBuilder {
       if (page_.warnings.empty())
         page_.warnings.push_back(fmt::format("the page has no figures: {}", missing.what()));
     }
-    add(node, "figcaption", nullptr, fmt::format("Figure {}: {}", ++figures_, figure.caption));
+    add(node, "figcaption", nullptr,
+        fmt::format(fmt::runtime(content_.figure_words), ++figures_, figure.caption));
   }
 
   void add_picture(xmlNode* node, const Figure& figure) {

@@ -391,6 +391,7 @@ Document certificate_page(const std::string& xml) {
   Document document;
   document.language = from.words.language();
   document.page_words = from.say("page {} of {}");
+  document.figure_words = from.say("Figure {}: {}");
   document.title = from.say("Calibration certificate");
   document.subtitle = from.text("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier");
   document.identification =
