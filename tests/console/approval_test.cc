@@ -12,6 +12,7 @@
 
 #include "app/faces/console/login_throttle.h"
 #include "app/ground/system/real_clock.h"
+#include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/certificate/signing_certificate.h"
 #include "tests/console/console_fixture.h"
@@ -108,6 +109,12 @@ TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
   EXPECT_EQ(kept->number, number);
   EXPECT_EQ(kept->approved_by, "Approver N. N.");
   EXPECT_EQ(test::http_get(port, "/runs/a.run/certificate.xml", person).body, kept->xml);
+  // Page and report cite the certificate: its statements, not those of the analysis.
+  const Json stated = Json::parse(certificate_json(kept->xml).dump());
+  ASSERT_GT(stated["results"].size(), 5U);
+  EXPECT_EQ(Json::parse(test::http_get(port, "/runs/a.run/result", person).body)["certificate"], stated);
+  const auto reported = test::run_program({"report", "runs/a.run", "--json"}, folder.path());
+  EXPECT_EQ(Json::parse(reported.out)["certificate"], stated) << reported.err;
   const auto verified = test::run_program({"verify", "runs/a.run"}, folder.path());
   EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
   const auto audit = registered.lab({"verify"});

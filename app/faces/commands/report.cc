@@ -18,6 +18,7 @@
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/temporary_folder.h"
+#include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue.h"
 #include "app/results/estimates/load_record.h"
@@ -195,7 +196,9 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     check(*options, data, outputs);
     write_all(outputs, options->json);
     if (options->json) {
-      print_result("{}\n", report_json(data).dump(2));
+      nlohmann::ordered_json json = report_json(data);
+      if (!certificate_xml.empty()) json["certificate"] = certificate_json(certificate_xml);
+      print_result("{}\n", json.dump(2));
     } else if (outputs.empty()) {
       print_result("{}", document_text(document, stdout));
     }

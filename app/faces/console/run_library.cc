@@ -17,6 +17,8 @@
 #include "app/ground/bench_file/not_real.h"
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/version.h"
+#include "app/laboratory/certificate/certificate_json.h"
+#include "app/laboratory/certificate/issue.h"
 #include "app/laboratory/compare/compare_json.h"
 #include "app/laboratory/compare/compare_results.h"
 #include "app/operate/bench/make_bench.h"
@@ -352,6 +354,8 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
     if (!download.available || download.available({path, run.item}))
       json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
   }
+  const auto issued = current_certificate(path, run.item);
+  json["certificate"] = issued ? certificate_json(issued->xml) : Json(nullptr);
   json["results"] = Json::array();
   json["meanings"] = Json::object();
   for (const CalibrationResult& result : shown.results) {

@@ -11,6 +11,7 @@
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
 #include "app/laboratory/certificate/registered_entry.h"
+#include "app/laboratory/certificate/scope.h"
 
 namespace abcal {
 namespace {
@@ -125,7 +126,7 @@ Section result_section(const PageSource& from, xmlNode* measurement, const std::
     section.blocks.push_back(Paragraph{
         from.content("dcc:description", matrix) + " " +
         from.say("k is that of the effective degrees of freedom ν; ∞: so many that they do not change k.") +
-        (from.xml.any(".//dcc:metaData[@refType='abc_outsideScope']", measurement)
+        (from.xml.any(fmt::format(".//dcc:metaData[@refType='{}']", kOutsideScopeMark), measurement)
              ? " " + from.say("*: outside the scope that the laboratory states.")
              : "")});
   return section;

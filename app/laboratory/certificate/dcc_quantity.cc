@@ -73,9 +73,9 @@ void add_scope_marks(XmlElement& metadata, const Words& words, const std::vector
     XmlElement metadatum = add_metadatum(metadata, ref_type, name);
     add_text(metadatum, words.as_given(fmt::format("{}", fmt::join(marked, " "))));
   };
-  add(ScopeMark::kRaised, "abc_raisedToScope",
+  add(ScopeMark::kRaised, kRaisedToScopeMark,
       words("U raised to the smallest of the laboratory's scope (CMC)"));
-  add(ScopeMark::kOutside, "abc_outsideScope", words("Outside the scope that the laboratory states"));
+  add(ScopeMark::kOutside, kOutsideScopeMark, words("Outside the scope that the laboratory states"));
 }
 
 XmlElement add_list(XmlElement& parent, const Words& words, const Wording& name, const ValueList& list) {

@@ -4,9 +4,11 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <utility>
 
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
+#include "app/laboratory/certificate/scope.h"
 
 namespace abcal {
 
@@ -18,15 +20,14 @@ bool is_hybrid(const PageSource& from, xmlNode* quantity) {
   return from.xml.any("si:hybrid", quantity);
 }
 
-std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool own) {
-  const std::string at = from.xml.any("si:hybrid", quantity)
-                             ? (own ? "si:hybrid/*[last()]" : "si:hybrid/*[1]")
-                             : "*[self::si:real or self::si:realListXMLList]";
+std::vector<PageValue> printed_values(const XmlQuery& xml, xmlNode* quantity, bool own) {
+  const std::string at = xml.any("si:hybrid", quantity) ? (own ? "si:hybrid/*[last()]" : "si:hybrid/*[1]")
+                                                        : "*[self::si:real or self::si:realListXMLList]";
   // A list and a single value differ in the ends of their elements' names only.
   const auto words_of = [&](const std::string& name) {
     const std::string element = "*[starts-with(local-name(), '" + name + "')]";
-    std::vector<std::string> words = from.xml.words(at + "/" + element, quantity);
-    if (words.empty()) words = from.xml.words(at + "/*/*/" + element, quantity);
+    std::vector<std::string> words = xml.words(at + "/" + element, quantity);
+    if (words.empty()) words = xml.words(at + "/*/*/" + element, quantity);
     return words;
   };
   const std::vector<std::string> values = words_of("value"), labels = words_of("label"),
@@ -39,14 +40,27 @@ std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool
   for (std::size_t i = 0; i < values.size(); ++i) {
     PageValue value;
     value.xml_label = value.label = without_unit(one_of(labels, i));
-    if (const std::size_t star = value.label.find('*'); star != std::string::npos)
-      value.label.replace(star, 1, "·");
-    value.value = typeset_number(values[i], from.words);
-    value.expanded = typeset_number(one_of(expanded, i), from.words);
-    value.factor = typeset_number(one_of(factors, i), from.words);
-    value.unit = typeset_unit(one_of(units, i));
+    value.value = values[i];
+    value.expanded = one_of(expanded, i);
+    value.factor = one_of(factors, i);
+    value.unit = one_of(units, i);
     all.push_back(std::move(value));
   }
+  return all;
+}
+
+PageValue typeset(PageValue value, const Words& words) {
+  if (const std::size_t star = value.label.find('*'); star != std::string::npos)
+    value.label.replace(star, 1, "·");
+  for (std::string* number : {&value.value, &value.expanded, &value.factor})
+    *number = typeset_number(*number, words);
+  value.unit = typeset_unit(value.unit);
+  return value;
+}
+
+std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool own) {
+  std::vector<PageValue> all = printed_values(from.xml, quantity, own);
+  for (PageValue& value : all) value = typeset(std::move(value), from.words);
   return all;
 }
 
@@ -70,8 +84,8 @@ std::string symbol_or_words(const PageSource& from, const std::string& name) {
   return quantity_words(from, name);
 }
 
-std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result) {
-  return from.xml.nodes("dcc:data/dcc:quantity | dcc:data/dcc:list/dcc:quantity", result);
+std::vector<xmlNode*> quantities_of(const XmlQuery& xml, xmlNode* result) {
+  return xml.nodes("dcc:data/dcc:quantity | dcc:data/dcc:list/dcc:quantity", result);
 }
 
 DocumentTable value_table(const PageSource& from) {
@@ -94,13 +108,17 @@ std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from,
   return degrees;
 }
 
-std::string scope_star(const PageSource& from, xmlNode* quantity, const std::string& label) {
-  for (const std::string& labels : from.xml.texts(
-           "dcc:measurementMetaData/dcc:metaData[@refType='abc_outsideScope']/dcc:data/dcc:text/dcc:content",
+bool is_marked(const XmlQuery& xml, xmlNode* quantity, const std::string& mark, const std::string& label) {
+  for (const std::string& labels : xml.texts(
+           "dcc:measurementMetaData/dcc:metaData[@refType='" + mark + "']/dcc:data/dcc:text/dcc:content",
            quantity))
-    for (const std::string& outside : xml_words(labels))
-      if (label.empty() || outside == label) return " *";
-  return "";
+    for (const std::string& marked : xml_words(labels))
+      if (label.empty() || marked == label) return true;
+  return false;
+}
+
+std::string scope_star(const PageSource& from, xmlNode* quantity, const std::string& label) {
+  return is_marked(from.xml, quantity, kOutsideScopeMark, label) ? " *" : "";
 }
 
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words) {
@@ -148,8 +166,8 @@ Section remaining_results(const PageSource& from, xmlNode* measurement,
 /// Uncertainties that were raised to the smallest of the laboratory's scope.
 Section raised_section(const PageSource& from, xmlNode* measurement) {
   FactList list;
-  for (xmlNode* raised :
-       from.xml.nodes("dcc:results//dcc:metaData[@refType='abc_raisedToScope']", measurement))
+  for (xmlNode* raised : from.xml.nodes(
+           fmt::format("dcc:results//dcc:metaData[@refType='{}']", kRaisedToScopeMark), measurement))
     list.facts.emplace_back(
         from.content("../../dcc:name", raised),
         from.content("dcc:name", raised) + ": " + from.content("dcc:data/dcc:text", raised));

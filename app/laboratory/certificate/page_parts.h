@@ -29,13 +29,24 @@ struct PageSource {
   std::string say(std::string_view english) const { return words(english).text; }
 };
 
-/// One value of a list or alone, as the XML has it, typeset.
+/// One value of a list or alone, as the XML has it or typeset.
 struct PageValue {
   std::string label, value, expanded, factor, unit;
   std::string xml_label;  ///< The label as the XML has it, without a unit.
 };
 
-/// The values below a dcc:quantity. @param own  those of a hybrid in the non-SI unit; else in SI units
+/// The values below a dcc:quantity in the digits and units of the XML. Every reader of a certificate, page or
+/// JSON, takes them from here. @param own  those of a hybrid in the non-SI unit; else in SI units
+std::vector<PageValue> printed_values(const XmlQuery& xml, xmlNode* quantity, bool own = false);
+
+/// Whether a quantity, or one label of a list, has a mark (kOutsideScopeMark, kRaisedToScopeMark).
+bool is_marked(const XmlQuery& xml, xmlNode* quantity, const std::string& mark,
+               const std::string& label = "");
+
+/// A value of the XML as the page shows it, in its language.
+PageValue typeset(PageValue value, const Words& words);
+
+/// printed_values(), typeset.
 std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool own = false);
 
 /// Whether a quantity is given in a unit outside the SI as well.
@@ -52,7 +63,10 @@ std::string quantity_words(const PageSource& from, std::string name);
 std::string symbol_or_words(const PageSource& from, const std::string& name);
 
 /// Quantities of a result, wherever its lists have them.
-std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result);
+std::vector<xmlNode*> quantities_of(const XmlQuery& xml, xmlNode* result);
+inline std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result) {
+  return quantities_of(from.xml, result);
+}
 
 /// A table of quantities with U and k; every result is a group of rows.
 DocumentTable value_table(const PageSource& from);

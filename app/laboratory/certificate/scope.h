@@ -28,6 +28,10 @@ enum class ScopeMark {
   kOutside,  ///< No entry of the scope covers the quantity or its size.
 };
 
+/// RefTypes of the marks in the XML.
+inline constexpr const char* kRaisedToScopeMark = "abc_raisedToScope";
+inline constexpr const char* kOutsideScopeMark = "abc_outsideScope";
+
 /// Permitted values of `quantity`.
 const std::vector<std::string>& scope_quantities();
 

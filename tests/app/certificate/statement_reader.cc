@@ -132,6 +132,8 @@ class XmlReader {
         g_loc_(local_gravity()),
         units_(xml_, g_loc_.value) {}
 
+  double unit_factor(const std::string& unit) const { return units_.factor(unit); }
+
   Reading read(bool last) {
     Reading reading;
     reading.g_loc_mps2 = g_loc_.value;
@@ -518,6 +520,43 @@ std::string disagreement(const Claim& a, const Claim& b) {
 
 Reading read_xml(const std::string& xml, bool last) {
   return in_first_terms(XmlReader(xml).read(last));
+}
+
+Reading read_json(const nlohmann::ordered_json& certificate, const std::string& xml, bool last) {
+  const XmlReader units(xml);
+  std::vector<std::string> calibrations;
+  for (const auto& result : certificate.at("results"))
+    if (result.at("result") == "abc_sensitivityMatrix") calibrations.push_back(result.at("calibration"));
+  Reading reading;
+  reading.calibrations = static_cast<int>(calibrations.size());
+  for (const auto& result : certificate.at("results")) {
+    const std::string type = result.at("result");
+    if (type == "abc_shift" ||
+        result.at("calibration") != (last ? calibrations.back() : calibrations.front()))
+      continue;
+    for (const auto& statement : result.at("statements")) {
+      const std::string unit = statement.at("unit");
+      const double in_si = units.unit_factor(unit);
+      // The last digit is that of the printed form, which is the same number. In a hybrid the first has the
+      // verdict.
+      const auto number = [&](const char* key) {
+        const auto as_printed = plain_number(statement.at("printed").at(key));
+        if (!as_printed || std::stod(*as_printed) != statement.at(key).get<double>())
+          reading.contradictions.push_back(fmt::format("{}: {} is printed as {}", statement.dump(), key,
+                                                       as_printed.value_or("no number")));
+        return times(printed(as_printed.value_or("0")), in_si);
+      };
+      const auto& conformity = statement.at("conformity");
+      reading.claims.push_back(
+          {"JSON " + type, name_of(statement.at("quantity")), number("value"), number("expanded_uncertainty"),
+           fmt::format("{:.2f}", statement.at("coverage_factor").get<double>()),
+           conformity.is_null() || unit.starts_with('|') ? std::string() : conformity.get<std::string>()});
+      const auto& scope = statement.at("scope");
+      reading.marked_outside += scope == "outside" ? 1 : 0;
+      reading.marked_raised += scope == "raised" ? 1 : 0;
+    }
+  }
+  return in_first_terms(std::move(reading));
 }
 
 Reading read_page(const Document& page, const Reading& xml) {

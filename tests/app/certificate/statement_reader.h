@@ -1,5 +1,6 @@
 #pragma once
 
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <vector>
@@ -38,6 +39,9 @@ struct Reading {
 
 /// @param last  the last calibration of the certificate; else the first, before adjustment
 Reading read_xml(const std::string& xml, bool last = true);
+
+/// The statements of certificate_json(). @param xml  its source, for the definitions of units
+Reading read_json(const nlohmann::ordered_json& certificate, const std::string& xml, bool last = true);
 
 /// @param xml  for the value of local gravity, and the meaning of units that are counts
 Reading read_page(const Document& page, const Reading& xml);

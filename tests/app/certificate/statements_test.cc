@@ -18,12 +18,14 @@
 #include "app/ground/document/document_text.h"
 #include "app/ground/units/typed_unit.h"
 #include "app/laboratory/certificate/business_rules.h"
+#include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/dcc_xml.h"
 #include "protocol/plan/limits.h"
 #include "protocol/uncertainty/budget.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/statement_reader.h"
+#include "tests/app/certificate/statement_relations.h"
 #include "tests/app/certificate/xml_query.h"
 
 namespace abcal {
@@ -228,13 +230,29 @@ class StatementsTest : public CertificateTest {
         unit, upper);
   }
 
+  /// The JSON of a certificate says what its XML says, in the same order.
+  static void compare_with_json(const std::string& xml, const test::Reading& in_xml, bool last) {
+    const test::Reading in_json = test::read_json(certificate_json(xml), xml, last);
+    EXPECT_THAT(in_json.contradictions, IsEmpty());
+    ASSERT_EQ(in_json.claims.size(), in_xml.claims.size());
+    for (std::size_t i = 0; i < in_xml.claims.size(); ++i) {
+      EXPECT_EQ(in_json.claims[i].quantity, in_xml.claims[i].quantity);
+      EXPECT_THAT(test::disagreements({in_json.claims[i], in_xml.claims[i]}), IsEmpty());
+    }
+    EXPECT_EQ(decisions_of({in_json}), decisions_of({in_xml}));
+    EXPECT_EQ(in_json.marked_outside > 0, in_xml.marked_outside > 0);
+    EXPECT_EQ(in_json.marked_raised > 0, in_xml.marked_raised > 0);
+  }
+
   /// Every calibration of a certificate, without contradiction in itself.
   static std::vector<test::Reading> calibrations_of(const std::string& xml) {
     std::vector<test::Reading> all{test::read_xml(xml)};
     if (all.front().calibrations > 1) all.push_back(test::read_xml(xml, false));
     for (const test::Reading& one : all) {
+      const bool last = &one == &all.front();
       EXPECT_THAT(one.contradictions, IsEmpty());
       EXPECT_THAT(test::disagreements(one.claims), IsEmpty());
+      EXPECT_THAT(test::broken_relations(xml, one, last), IsEmpty());
     }
     return all;
   }
@@ -379,6 +397,7 @@ TEST_F(StatementsTest, AScopeRaisesEverythingThatRestsOnIt) {
   const test::Reading read = test::read_xml(xml);
   EXPECT_THAT(read.contradictions, IsEmpty());
   EXPECT_THAT(test::disagreements(read.claims), IsEmpty());
+  EXPECT_THAT(test::broken_relations(xml, read), IsEmpty());
   EXPECT_EQ(read.budget_lines, test::read_xml(xml_text(dcc_document(plain))).budget_lines + 1);
   EXPECT_GT(read.marked_raised, 3);
   // Off-diagonal sensitivities, offsets above 10 mg and what depends on the mounting are in no entry.
@@ -415,6 +434,7 @@ TEST_F(StatementsTest, AThousandRandomCertificatesSayEverythingOnce) {
     }
     const std::string xml = xml_text(document);
     const std::vector<test::Reading> in_xml = calibrations_of(xml);
+    if (seed % 4 == 0) compare_with_json(xml, in_xml.front(), true);
     const test::Reading on_page = test::read_page(certificate_page(xml), in_xml.front());
     ASSERT_THAT(on_page.contradictions, IsEmpty()) << "seed " << seed;
     ASSERT_THAT(test::not_stated(on_page.claims, in_xml), IsEmpty()) << "seed " << seed;
@@ -452,6 +472,17 @@ TEST_F(StatementsTest, TheReaderSeesADigitAVerdictAndAUnitThatDiffer) {
   EXPECT_THAT(test::read_xml(replaced(good, "<si:unit>|g/g_n", "<si:unit>|mg/g_n")).contradictions,
               testing::SizeIs(1));
   const test::Reading read = test::read_xml(good);
+  EXPECT_THAT(test::broken_relations(good, read), IsEmpty());
+  for (const char* name : {"M_xv", "intrinsic_angle_vw", "bias_w", "g_loc*sensitivity_uz"}) {
+    test::Reading other = read;
+    for (test::Claim& claim : other.claims)
+      if (claim.quantity == name) claim.value.value += 3.0 * claim.expanded.value;
+    EXPECT_THAT(test::broken_relations(good, other), testing::SizeIs(1)) << name;
+    other = read;
+    for (test::Claim& claim : other.claims)
+      if (claim.quantity == name) claim.expanded.value *= 0.8;
+    EXPECT_THAT(test::broken_relations(good, other), testing::SizeIs(1)) << name;
+  }
   test::Reading page = test::read_page(certificate_page(good), read);
   ASSERT_GT(page.claims.size(), 40U);
   page.claims.front().expanded.value *= 1.1;

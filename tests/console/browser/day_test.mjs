@@ -98,6 +98,7 @@ step('issues the certificate, which a second person approves with a password', a
   await page.getByText(/^no answer came: nobody knows whether it was carried out/).waitFor();
   await approve('Admin N. N.', PASSWORD);
   await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();
+  await page.locator('#certified', {hasText: /s_ux.*\/\(m\/s²\)/s}).waitFor();
   const number = (await text('#certificate')).match(/T-\d{4}-\d{4}/)[0];
   console.log(`certificate ${number}`);
   const xml = readFileSync(await served.download(() => page.getByRole('link', {name: 'Certificate (DCC XML)'}).click()), 'utf8');

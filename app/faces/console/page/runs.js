@@ -155,6 +155,7 @@ export async function showRun(name, item, {again = false} = {}) {
     downloads(data.downloads, run, run.items.length > 1 ? data.item : 0),
     card(t('Checks of the result'), checks(reported, data.meanings)),
     ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
+    ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
     card(t('Estimators side by side'), estimators(results)),
     card(t('Other estimators in words'), element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. `, said(r.why))))),
     card(t('Facts'), facts(data)));
@@ -221,6 +222,21 @@ function quantities(result) {
   result.intrinsic_angle.forEach((q, j) => all.push([`phi_${['uv', 'vw', 'wu'][j]}`, q]));
   result.offset.forEach((q, j) => all.push([`O_${OUTPUTS[j]}`, q]));
   return new Map(all);
+}
+
+// The main results in the words and digits of the certificate: a scope of the laboratory may have raised U.
+const CERTIFIED = ['abc_sensitivityMatrix', 'abc_intrinsicSensitivities', 'abc_intrinsicAngles', 'abc_offsets', 'abc_conformity'];
+const CONFORMITY = {pass: t('pass'), conditionalPass: t('conditional pass'), conditionalFail: t('conditional fail'), fail: t('fail')};
+const SCOPE = {raised: t('U raised'), outside: t('outside')};
+
+function certified({number: of, results}) {
+  const main = results.filter(({result}) => CERTIFIED.includes(result)), last = main.at(-1)?.calibration;
+  const rows = main.filter(({calibration}) => calibration === last).flatMap(({statements}) => statements)
+    .map(({quantity, printed, conformity, scope}) => [quantity, printed.value, printed.expanded_uncertainty ?? DASH, printed.coverage_factor ?? DASH, printed.unit, CONFORMITY[conformity] ?? DASH, SCOPE[scope] ?? DASH]);
+  const made = table(t`Certificate ${of}: s is per m/s²; U = k u. The other tables of this page are of the analysis, where s is per local gravity and U is not raised to the scope of the laboratory.`,
+    [t('Quantity'), t('Value'), 'U', 'k', t('Unit'), t('Decision'), t('Scope')], rows);
+  made.id = 'certified';
+  return scrollable('scroll-x', t('What the certificate states'), made);
 }
 
 function estimators(results) {
