@@ -11,6 +11,7 @@ namespace {
 
 void add_commands(CLI::App& app, int& exit_code) {
   using namespace abcal;
+  add_init(app, exit_code);
   add_instruments(app, exit_code);
   add_plan(app, exit_code);
   add_check(app, exit_code);

@@ -4,7 +4,6 @@
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <pty.h>
 #include <sys/file.h>
 #include <sys/socket.h>
 
@@ -17,6 +16,7 @@
 
 #include "tests/app/program_fixtures.h"
 #include "tests/support/project_paths.h"
+#include "tests/support/typed_program.h"
 
 namespace abcal {
 namespace {
@@ -191,57 +191,24 @@ TEST_F(DocsTest, ListsPagesFindsThemByTheirNameAndCorrectsASlip) {
 /// A program at a terminal, and a person who answers its prompts.
 class TypedTest : public ProgramTest {
  protected:
-  struct Typed {
-    int exit_code = -1;
-    std::string shown;
-  };
-  /// Types each answer once ": " was shown for the next prompt.
-  Typed type(const std::vector<std::string>& arguments, const std::vector<std::string>& answers) {
-    int terminal = -1;
-    const pid_t child = ::forkpty(&terminal, nullptr, nullptr, nullptr);
-    if (child == 0) {
-      if (::chdir(folder.path().c_str()) != 0) ::_exit(126);
-      ::setenv("ABCAL_REGISTER", (folder / "register.db").c_str(), 1);
-      ::setenv("XDG_STATE_HOME", (folder / "state").c_str(), 1);
-      const std::string program = test::abcal_program();
-      std::vector<std::string> words{program};
-      words.insert(words.end(), arguments.begin(), arguments.end());
-      std::vector<char*> argv;
-      for (std::string& word : words) argv.push_back(word.data());
-      argv.push_back(nullptr);
-      ::execv(program.c_str(), argv.data());
-      ::_exit(127);
-    }
-    Typed typed;
-    std::size_t from = 0, next = 0;
-    std::array<char, 512> bytes{};
-    for (ssize_t n = 0; (n = ::read(terminal, bytes.data(), bytes.size())) > 0;) {
-      typed.shown.append(bytes.data(), static_cast<std::size_t>(n));
-      const std::size_t prompt = typed.shown.find(": ", from);
-      if (prompt == std::string::npos || !typed.shown.ends_with(": ") || next == answers.size()) continue;
-      from = typed.shown.size();
-      const std::string line = answers[next++] + "\n";
-      if (::write(terminal, line.data(), line.size()) < 0) break;
-    }
-    int status = 0;
-    ::waitpid(child, &status, 0);
-    ::close(terminal);
-    typed.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-    return typed;
+  test::Typed type(const std::vector<std::string>& arguments, const std::vector<std::string>& answers) {
+    return test::type_at_terminal(arguments, folder.path(), test::answers_to(": ", answers),
+                                  {{"ABCAL_REGISTER", (folder / "register.db").string()},
+                                   {"XDG_STATE_HOME", (folder / "state").string()}});
   }
 };
 
 TEST_F(TypedTest, ANewPasswordIsTypedTwiceAfterItsRule) {
   const std::vector<std::string> init{"lab",  "init", "--laboratory", "Example laboratory", "--administrator",
                                       "N. N."};
-  const Typed slip = type(init, {"correct horse 7", "correct horse 8"});
+  const test::Typed slip = type(init, {"correct horse 7", "correct horse 8"});
   EXPECT_EQ(slip.exit_code, 2) << slip.shown;
   EXPECT_THAT(slip.shown,
               AllOf(HasSubstr("at least 10 characters"), HasSubstr("not the same"), Not(HasSubstr("horse"))));
   EXPECT_FALSE(std::filesystem::exists(folder / "register.db"));
-  const Typed same = type(init, {"correct horse 7", "correct horse 7"});
+  const test::Typed same = type(init, {"correct horse 7", "correct horse 7"});
   EXPECT_EQ(same.exit_code, 0) << same.shown;
-  const Typed login = type({"lab", "login", "N. N."}, {"correct horse 7"});
+  const test::Typed login = type({"lab", "login", "N. N."}, {"correct horse 7"});
   EXPECT_EQ(login.exit_code, 0) << login.shown;
 }
 

@@ -1,6 +1,11 @@
+#include "app/faces/commands/check.h"
+
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <memory>
 #include <nlohmann/json.hpp>
+#include <string>
 #include <utility>
 
 #include "app/faces/commands/commands.h"
@@ -11,9 +16,64 @@
 #include "app/ground/system/output.h"
 #include "app/ground/system/terminal.h"
 #include "app/laboratory/register/register_lookup.h"
-#include "app/operate/session/bench_check.h"
 
 namespace abcal {
+namespace {
+
+std::ptrdiff_t count(const std::vector<Finding>& findings, Finding::Grade grade) {
+  return std::ranges::count(findings, grade, &Finding::grade);
+}
+
+int exit_code_of(const std::vector<Finding>& findings) {
+  return count(findings, Finding::Grade::kProblem) > 0 ? kExitFailed : kExitDone;
+}
+
+nlohmann::ordered_json findings_json(const std::vector<Finding>& findings) {
+  nlohmann::ordered_json json{{"schema", "abcal.check/1"},
+                              {"problems", count(findings, Finding::Grade::kProblem)},
+                              {"warnings", count(findings, Finding::Grade::kWarning)}};
+  json["findings"] = nlohmann::ordered_json::array();
+  for (const Finding& finding : findings)
+    json["findings"].push_back({{"grade", to_string(finding.grade)},
+                                {"what", finding.what},
+                                {"found", finding.found},
+                                {"advice", finding.advice}});
+  return json;
+}
+
+}  // namespace
+
+std::vector<Finding> check_at_terminal(const BenchConfig& config, bool no_motion) {
+  BenchStreams streams;
+  streams.owner = "a check";
+  Bench bench = make_bench(config, std::move(streams));
+  TerminalListener terminal(
+      {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
+  std::vector<Finding> findings =
+      check_bench(bench, config, {no_motion, terminal.listener(), interrupt_token()});
+  terminal.finish();
+  return findings;
+}
+
+int print_findings(const std::vector<Finding>& findings) {
+  for (const Finding& finding : findings) {
+    const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
+                              : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
+                                                                          : Emphasis::kNone;
+    print_result("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", to_string(finding.grade))),
+                 finding.what, finding.found);
+    if (!finding.advice.empty()) print_result("{:>8}  do: {}\n", "", finding.advice);
+  }
+  const std::ptrdiff_t problems = count(findings, Finding::Grade::kProblem);
+  const std::ptrdiff_t warnings = count(findings, Finding::Grade::kWarning);
+  print_result(
+      "{}\n",
+      problems > 0   ? fmt::format("{} problem{}: not fit for a run", problems, problems == 1 ? "" : "s")
+      : warnings > 0 ? fmt::format("fit for a run, with {} warning{}", warnings, warnings == 1 ? "" : "s")
+                     : std::string("fit for a run"));
+  return exit_code_of(findings);
+}
+
 CLI::App* add_check(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
@@ -27,46 +87,13 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file, register_records());
-    BenchStreams streams;
-    streams.owner = "a check";
-    Bench bench = make_bench(config, std::move(streams));
-    TerminalListener terminal(
-        {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
-    const std::vector<Finding> findings =
-        check_bench(bench, config, {options->no_motion, terminal.listener(), interrupt_token()});
-    terminal.finish();
-    int problems = 0, warnings = 0;
-    for (const Finding& finding : findings) {
-      problems += finding.grade == Finding::Grade::kProblem ? 1 : 0;
-      warnings += finding.grade == Finding::Grade::kWarning ? 1 : 0;
+    const std::vector<Finding> findings = check_at_terminal(config, options->no_motion);
+    if (!options->json) {
+      exit_code = print_findings(findings);
+      return;
     }
-    if (options->json) {
-      nlohmann::ordered_json json{
-          {"schema", "abcal.check/1"}, {"problems", problems}, {"warnings", warnings}};
-      json["findings"] = nlohmann::ordered_json::array();
-      for (const Finding& finding : findings)
-        json["findings"].push_back({{"grade", to_string(finding.grade)},
-                                    {"what", finding.what},
-                                    {"found", finding.found},
-                                    {"advice", finding.advice}});
-      print_result("{}\n", json.dump(2));
-    } else {
-      for (const Finding& finding : findings) {
-        const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
-                                  : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
-                                                                              : Emphasis::kNone;
-        print_result("{}  {}: {}\n",
-                     emphasised(stdout, emphasis, fmt::format("{:>8}", to_string(finding.grade))),
-                     finding.what, finding.found);
-        if (!finding.advice.empty()) print_result("{:>8}  do: {}\n", "", finding.advice);
-      }
-      print_result(
-          "{}\n",
-          problems > 0   ? fmt::format("{} problem{}: not fit for a run", problems, problems == 1 ? "" : "s")
-          : warnings > 0 ? fmt::format("fit for a run, with {} warning{}", warnings, warnings == 1 ? "" : "s")
-                         : std::string("fit for a run"));
-    }
-    exit_code = problems > 0 ? kExitFailed : kExitDone;
+    print_result("{}\n", findings_json(findings).dump(2));
+    exit_code = exit_code_of(findings);
   });
   return command;
 }

@@ -17,7 +17,8 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 26> kHelp{{
+constexpr std::array<CommandHelp, 27> kHelp{{
+    {"init", kPrepare, "abcal init\nabcal init --stage emulated"},
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
     {"check", kPrepare, "abcal check bench.toml\nabcal check bench.toml --no-motion"},
@@ -61,8 +62,8 @@ void add_help(CLI::App& app) {
     command->footer(examples);
   }
   app.footer(
-      "`abcal help COMMAND` shows the options of a command, with an example. The first three commands of a\n"
-      "new bench are `instruments`, `plan` and `check`. Without one, begin with `abcal demo`.");
+      "`abcal help COMMAND` shows the options of a command, with an example. A new bench begins\n"
+      "with `abcal init`, which writes its file. Without one, begin with `abcal demo`.");
 }
 
 }  // namespace abcal

@@ -7,6 +7,7 @@ namespace abcal {
 // Each adds one command to the program. Its callback carries the command out and sets `exit_code`
 // (app/ground/system/exit_code.h); errors that it does not handle itself are for main().
 
+CLI::App* add_init(CLI::App& parent, int& exit_code);
 CLI::App* add_run(CLI::App& parent, int& exit_code);
 CLI::App* add_resume(CLI::App& parent, int& exit_code);
 CLI::App* add_record(CLI::App& parent, int& exit_code);

@@ -3,20 +3,19 @@
 #include <sys/file.h>
 
 #include <cstdlib>
-#include <exception>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string>
 #include <string_view>
-#include <thread>
 #include <utility>
 #include <vector>
 
 #include "app/faces/commands/analyse.h"
 #include "app/faces/commands/commands.h"
 #include "app/faces/commands/demo_bench.h"
+#include "app/faces/commands/emulation.h"
 #include "app/faces/commands/terminal_listener.h"
 #include "app/faces/console/server.h"
 #include "app/faces/console/steered_run.h"
@@ -32,7 +31,6 @@
 #include "app/ground/system/terminal.h"
 #include "app/laboratory/register/database.h"
 #include "app/laboratory/register/login.h"
-#include "app/operate/emulate/served_bench.h"
 #include "app/results/estimates/load_record.h"
 #include "app/results/estimates/report_data.h"
 #include "app/results/estimates/result_json.h"
@@ -69,28 +67,6 @@ class DemoFolder {
  private:
   std::filesystem::path path_;
   Descriptor lock_;
-};
-
-/// The emulated instruments, served in a thread of its own as long as this lives.
-class Emulation {
- public:
-  Emulation(const std::string& bench_file, const BenchConfig& config, const std::filesystem::path& links)
-      : served_(bench_file, config, {links}), thread_([this](const std::stop_token& stop) { serve(stop); }) {}
-
-  std::vector<ServedBench::Place> places() const { return served_.places(); }
-
- private:
-  void serve(const std::stop_token& stop) noexcept {
-    try {
-      served_.serve(stop);
-    } catch (const std::exception& error) {
-      // The run ends as well: its ports do not answer any more.
-      print_error(fmt::format("the emulated instruments: {}", error.what()));
-    }
-  }
-
-  ServedBench served_;
-  std::jthread thread_;
 };
 
 PlannedAngle planned_angle(const nlohmann::json& json) {

@@ -53,6 +53,11 @@ std::string demo_bench(const std::filesystem::path& folder, int steps) {
   return text;
 }
 
+std::string emulated_sections() {
+  const std::string text = example_text("emulated.toml");
+  return text.substr(text.find("[environment]"));
+}
+
 std::filesystem::path write_demo_bench(const std::filesystem::path& folder, int steps) {
   const std::string text = demo_bench(folder, steps);
   const std::filesystem::path usual = folder / "bench.toml";

@@ -11,6 +11,10 @@ namespace abcal {
 /// @throws std::invalid_argument if 360 degrees are no whole number of degrees for each step
 std::string demo_bench(const std::filesystem::path& folder, int steps);
 
+/// Conditions, plan and simulated truth of that example: the part of a bench file that an emulated bench
+/// needs besides its instruments.
+std::string emulated_sections();
+
 /// Writes the bench file into the folder, as "bench.toml" or under the first free name: a file of another
 /// content stays as it is.
 /// @return its path

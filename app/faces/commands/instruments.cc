@@ -1,37 +1,17 @@
 #include <fmt/format.h>
 
-#include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "app/faces/commands/commands.h"
+#include "app/faces/commands/port_listing.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/output.h"
-#include "app/ground/system/progress.h"
-#include "app/ground/system/real_clock.h"
-#include "app/operate/bench/probe_ports.h"
 #include "drivers/registry.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal {
 namespace {
-
-/// All ports at once, with a bar.
-std::vector<Probed> probe(const std::vector<std::string>& ports) {
-  RealClock bar_clock;
-  ProgressBar bar("Asking", bar_clock);
-  std::mutex bar_mutex;
-  std::size_t asked = 0;
-  const auto drivers =
-      static_cast<double>(stage_drivers().size() + accelerometer_drivers().size() + chamber_drivers().size());
-  std::vector<Probed> all = probe_ports(ports, [&](const std::string& port, const std::string& driver) {
-    const std::lock_guard lock(bar_mutex);
-    bar.show(static_cast<double>(asked++), static_cast<double>(ports.size()) * drivers,
-             port + " for " + driver);
-  });
-  bar.clear();
-  return all;
-}
 
 /// @param probed  absent: nothing was asked
 void print_as_json(const std::vector<wire::PortInfo>& ports,
@@ -52,28 +32,12 @@ void print_as_json(const std::vector<wire::PortInfo>& ports,
   print_result("{}\n", output.dump(2));
 }
 
-void print_port(const wire::PortInfo& port) {
-  print_result("  {}  {}\n", port.path, port.description);
-  if (const std::string id = usb_name(port); !id.empty()) print_result("    port = \"{}\"\n", id);
-  if (!port.by_id.empty()) print_result("    {}\n", port.by_id);
-  if (!port.permitted) {
-    print_result("    not permitted for this user: sudo usermod -aG {} $USER, then log in again\n",
-                 port.owner_group.empty() ? "dialout" : port.owner_group);
-  }
-  if (!port.holder.empty()) print_result("    in use by {}\n", port.holder);
-  if (port.latency_timer_ms && *port.latency_timer_ms > 2) {
-    print_result(
-        "    its adapter delays short replies by {} ms; `setserial {} low_latency` reduces this to 1 ms\n",
-        *port.latency_timer_ms, port.path);
-  }
-}
-
 /// @param probed  absent: nothing was asked
 void print_as_text(const std::vector<wire::PortInfo>& ports,
                    const std::optional<std::vector<Probed>>& probed) {
   print_result("Serial ports:\n");
   if (ports.empty()) print_result("  none\n");
-  for (const wire::PortInfo& port : ports) print_port(port);
+  for (const wire::PortInfo& port : ports) print_result("{}", port_text(port));
   if (probed) {
     print_result("Asked:\n");
     if (probed->empty()) print_result("  no port is free and accessible to this user\n");
@@ -114,7 +78,7 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
     if (options->probe) {
       std::vector<std::string> asked = options->ports;
       if (asked.empty()) asked = ports_to_ask(ports);
-      probed = probe(asked);
+      probed = probe_with_bar(asked);
     }
     if (options->json) {
       print_as_json(ports, probed);

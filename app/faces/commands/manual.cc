@@ -11,6 +11,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "app/faces/commands/shell_word.h"
+
 namespace abcal {
 namespace {
 
@@ -202,13 +204,6 @@ std::string one_line(const std::string& description) {
   std::string line = description.substr(0, description.find('\n'));
   if (line.ends_with('.')) line.pop_back();
   return line;
-}
-
-// Quoting for scripts: the whole text in single quotes.
-std::string shell_word(const std::string& text) {
-  std::string out = "'";
-  for (const char c : text) out += c == '\'' ? std::string("'\\''") : std::string(1, c);
-  return out + "'";
 }
 
 /// A description inside [brackets] of zsh's _arguments.

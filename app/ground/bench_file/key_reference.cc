@@ -211,8 +211,9 @@ constexpr const char* kPageTop =
     R"(# The bench file: every key
 
 A bench file (TOML, schema `abcal.bench/2`) describes stage, accelerometer, environment, local gravity and the
-measurement. `abcal plan --keys` generates this page from the program's own table of keys; do not edit it. Commented
-examples are in `docs/examples`. `abcal plan BENCH` reports every mistake in a file with its line number.
+measurement. `abcal plan --keys` generates this page from the program's own table of keys; do not edit it.
+`abcal init` finds the instruments, asks five questions and writes a bench file ([first run](tutorial.md#your-own-instruments)).
+Commented examples are in `docs/examples`. `abcal plan BENCH` reports every mistake in a file with its line number.
 
 - *Default*: the value if the key is absent, as TOML. `-`: no value; the meaning states what happens then.
 - *Range*: empty if any value of the type is accepted. Numbers must be finite.

@@ -55,13 +55,28 @@ void OutputFile::commit() {
   removed_too_.reset();
 }
 
-void OutputFile::write(const std::string& content) {
+void OutputFile::write_temporary(const std::string& content) const {
   std::ofstream file(temporary_, std::ios::binary | std::ios::trunc);
   file << content;
   file.close();
   if (!file)
     throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path_.string()));
+}
+
+void OutputFile::write(const std::string& content) {
+  write_temporary(content);
   commit();
+}
+
+void OutputFile::write_new(const std::string& content) {
+  write_temporary(content);
+  flush_to_disk(temporary_, path_);
+  std::error_code failed;
+  std::filesystem::create_hard_link(temporary_, path_, failed);  // Fails if there is such a file.
+  if (!failed) return;
+  if (std::filesystem::exists(std::filesystem::symlink_status(path_)))
+    throw std::runtime_error(path_.string() + ": exists already, and stays as it is; choose another name");
+  commit();  // This file system has no links.
 }
 
 void flush_to_disk(const std::filesystem::path& path, const std::filesystem::path& named) {

@@ -32,7 +32,13 @@ class OutputFile {
   /// Writes the complete content and commits. @throws std::runtime_error
   void write(const std::string& content);
 
+  /// As write(), but never in place of a file that exists, not even of one that was made meanwhile.
+  /// @throws std::runtime_error
+  void write_new(const std::string& content);
+
  private:
+  void write_temporary(const std::string& content) const;
+
   std::filesystem::path path_, temporary_;
   std::unique_ptr<BeforeSignalEnds> removed_too_;  ///< The temporary file.
 };

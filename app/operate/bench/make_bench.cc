@@ -1,10 +1,8 @@
 #include "app/operate/bench/make_bench.h"
 
-#include <poll.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <chrono>
 #include <functional>
 #include <map>
@@ -16,6 +14,7 @@
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
+#include "app/ground/system/typed_line.h"
 #include "app/operate/bench/beating.h"
 #include "app/operate/bench/fault_schedule.h"
 #include "app/operate/bench/guarded_chamber.h"
@@ -107,21 +106,6 @@ ChamberSettings chamber_settings(const ChamberConfig& config) {
   ChamberSettings settings = config.settings;
   settings.tcp_framing = has_tcp_frames(config.port);
   return settings;
-}
-
-/// A line that is typed at the terminal; nothing: interrupted, or the terminal is gone.
-std::optional<std::string> typed_line() {
-  std::string line;
-  for (;;) {
-    if (interrupt_token().stop_requested()) return std::nullopt;
-    pollfd input{STDIN_FILENO, POLLIN, 0};
-    const int ready = ::poll(&input, 1, 200);  // ms, between two checks for an interrupt
-    if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
-    char c = 0;
-    if (::read(STDIN_FILENO, &c, 1) <= 0) return std::nullopt;
-    if (c == '\n') return line;
-    line += c;
-  }
 }
 
 std::unique_ptr<ThermalChamber> chamber_at_terminal(const ManualChamberDriver& driver,

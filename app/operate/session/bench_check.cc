@@ -2,19 +2,17 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Geometry>
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <filesystem>
 #include <limits>
 #include <optional>
-#include <random>
 
 #include "app/ground/bench_file/chamber_consistency.h"
 #include "app/ground/bench_file/not_real.h"
 #include "app/operate/session/run_bench.h"
-#include "app/operate/session/session_observer.h"
+#include "app/operate/session/small_turn.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/rotation_plan.h"
@@ -25,7 +23,6 @@ namespace {
 
 using Grade = Finding::Grade;
 
-constexpr double kTurnDeg = 30.0;
 // Largest difference from the prediction, relative to the change caused by gravity: room for an
 // accelerometer mounted some degrees askew, and well below the effect of a wrong sign (at least 0.5).
 constexpr double kAgreement = 0.2;
@@ -33,7 +30,6 @@ constexpr double kAgreement = 0.2;
 constexpr double kNormTolerance = 0.1;
 constexpr double kRateTolerance = 0.05;
 constexpr double kShortestLookS = 1.0;
-constexpr int kMostReadings = 200;
 
 /// A simple difference between bench and bench file that may explain the readings.
 struct Hypothesis {
@@ -233,8 +229,8 @@ class Checker {
     Clock& clock = *bench_.clock;
     accelerometer.start();
     accelerometer.discard_pending();
-    const int wanted = std::min(
-        kMostReadings, std::max(config_.protocol.dwell_readings, static_cast<int>(stated.settings.rate_hz)));
+    const int wanted = std::min(kMostTurnReadings, std::max(config_.protocol.dwell_readings,
+                                                            static_cast<int>(stated.settings.rate_hz)));
     std::vector<Reading> readings;
     const Clock::Instant begin = clock.now();
     const Clock::Duration patience = from_seconds(config_.protocol.reading_timeout_s);
@@ -284,64 +280,30 @@ class Checker {
   }
 
   void turn() {
-    const auto travel = identities_.travel();
-    const auto turn_of = [](const AxisTravel& t) {
-      return Angle::degrees(t.max.deg() >= kTurnDeg ? kTurnDeg : -kTurnDeg);
-    };
-    const Angle x = turn_of(travel[0]), z = turn_of(travel[1]);
-    const std::vector<PlannedAngle> plan{
-        {0, 1, false, Angle{}, Angle{}, Angle{}}, {0, 2, false, x, x, Angle{}}, {0, 3, false, z, x, z}};
-    BenchConfig quick = config_;
-    quick.protocol.dwell_readings = std::min(config_.protocol.dwell_readings, kMostReadings);
-    quick.protocol.warm_up_s = 0.0;
-
-    const TemporaryFile path;
-    RunFile file = RunFile::create(path.path, make_header(quick, identities_, plan, *bench_.clock));
-    if (options_.listener) {
-      RunBeganEvent began;  // Without a file, which is removed after the check.
-      began.plan = plan;
-      options_.listener(began);
+    const std::vector<TurnedItem> items =
+        measure_small_turn(bench_, config_, identities_, options_.listener, options_.stop);
+    for (std::size_t k = 1; k <= items.size(); ++k) {
+      of_item_ = item_words(config_, static_cast<int>(k));
+      judge_turn(items[k - 1]);
     }
-    SessionObserver observer(options_.listener);
-    measure_plan({bench_, quick, file, plan, {}}, observer, options_.stop);
-    const std::size_t items = RunFile::load(path.path).items.size();
-    for (std::size_t k = 1; k <= items; ++k) judge_turn(path.path, static_cast<int>(k));
     of_item_.clear();
   }
 
-  void judge_turn(const std::filesystem::path& path, int item) {
-    const StoredRun stored = RunFile::load(path, item);
+  void judge_turn(const TurnedItem& item) {
+    if (!item.missing.empty()) return add(Grade::kProblem, "signs and axes", item.missing);
     Eigen::Matrix3d from_outputs = Eigen::Matrix3d::Identity();  // Along the axes of the platter.
-    of_item_ = item_words(config_, item);
-    const auto mounting = mounting_matrix(stored.header.expected.mounting);
-    if (mounting) from_outputs = mounting->transpose();
-    const std::string& reason = stored.items.at(static_cast<std::size_t>(item) - 1).reason;
-    if (!reason.empty()) return add(Grade::kProblem, "signs and axes", reason);
-    std::vector<PoseReading> poses;
-    for (const DwellRecord& dwell : stored.record.dwells) {
-      poses.push_back({dwell.commanded_x, dwell.commanded_z, from_outputs * dwell.mean});
-      if (dwell.flags != 0)
+    if (const auto mounting = mounting_matrix(item.mounting)) from_outputs = mounting->transpose();
+    std::vector<PoseReading> poses = item.poses;
+    for (PoseReading& pose : poses) {
+      pose.mean = from_outputs * pose.mean;
+      if (pose.flags != 0)
         add(Grade::kWarning, "readings",
-            fmt::format("at X = {:g} deg, Z = {:g} deg: {}", dwell.commanded_x.deg(), dwell.commanded_z.deg(),
-                        describe_flags(dwell.flags)));
+            fmt::format("at X = {:g} deg, Z = {:g} deg: {}", pose.x.deg(), pose.z.deg(),
+                        describe_flags(pose.flags)));
     }
     const Finding signs = judge_signs(poses);
     add(signs.grade, signs.what, signs.found, signs.advice);
   }
-
-  /// The turn is measured as a run; its file is removed afterwards.
-  struct TemporaryFile {
-    std::filesystem::path path = std::filesystem::temp_directory_path() /
-                                 fmt::format("abcal-check-{:08x}.run", std::random_device{}());
-    TemporaryFile() = default;
-    TemporaryFile(const TemporaryFile&) = delete;
-    TemporaryFile& operator=(const TemporaryFile&) = delete;
-    ~TemporaryFile() {
-      std::error_code ignored;
-      for (const char* ending : {"", "-wal", "-shm"})
-        std::filesystem::remove(path.string() + ending, ignored);
-    }
-  };
 
   Bench& bench_;
   const BenchConfig& config_;
@@ -354,11 +316,6 @@ class Checker {
 };
 
 }  // namespace
-
-Eigen::Vector3d gravity_at(Angle x, Angle z) {
-  return Eigen::AngleAxisd(-z.rad(), Eigen::Vector3d::UnitZ()) *
-         (Eigen::AngleAxisd(-x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
-}
 
 Finding judge_signs(const std::vector<PoseReading>& poses) {
   Finding finding{Grade::kGood, "signs and axes", "", ""};

@@ -5,12 +5,10 @@
 #include <string_view>
 #include <vector>
 
-#include <Eigen/Core>
-
 #include "app/ground/bench_file/bench_config.h"
 #include "app/operate/bench/make_bench.h"
 #include "app/operate/session/session_events.h"
-#include "drivers/instrument/angle.h"
+#include "app/operate/session/small_turn.h"
 
 namespace abcal {
 
@@ -42,15 +40,6 @@ struct CheckOptions {
 /// axes, which shows whether signs and axes agree with gravity. The stage ends at zero, or halted.
 /// @throws RunInterrupted; an instrument that fails is a finding.
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options);
-
-/// Readings (mean output, R) at one pose of the stage.
-struct PoseReading {
-  Angle x, z;
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-};
-
-/// Specific force (g_loc) in the platter's frame at a pose of an ideal stage: Rot(X, x) Rot(Z, z) undone.
-Eigen::Vector3d gravity_at(Angle x, Angle z);
 
 /// Checks whether the readings change between poses as gravity requires of an accelerometer whose u, v, w
 /// point roughly along the platter's x, y, z. If not, names every simple reason that would explain them: a

@@ -173,10 +173,6 @@ std::string dominating(const Budget& budget, std::FILE* stream) {
   return text;
 }
 
-std::string key_of(const EffectSizeKey& size) {
-  return fmt::format("[{}] {}", size.section, size.key);
-}
-
 /// "abcal analyse FILE --full", of one item where the run has several.
 std::string full_command(const AnalysedItem& item, const std::string& file) {
   const bool several = item.stored.header.items.size() > 1;
@@ -268,10 +264,7 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
 
 /// Every default with its cost.
 std::string defaults_text(const AnalysedItem& item, const Budget& budget, std::FILE* stream) {
-  std::string text;
-  for (const DefaultCost& each : default_costs(item.stored.record.tolerances, budget))
-    text += fmt::format("  {:>5.1f} % of U of {:<6}  {}: {}\n", 100.0 * each.cost, each.output,
-                        key_of(*each.size), each.size->words);
+  const std::string text = default_costs_text(default_costs(item.stored.record.tolerances, budget));
   if (text.empty()) return text;
   return fmt::format("{}{}",
                      heading(stream,

@@ -1,5 +1,7 @@
 #include "app/results/estimates/size_costs.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 
@@ -21,6 +23,18 @@ std::vector<DefaultCost> default_costs(const EffectSizes& sizes, const Budget& b
   }
   std::ranges::stable_sort(costs, std::greater{}, &DefaultCost::cost);
   return costs;
+}
+
+std::string key_of(const EffectSizeKey& size) {
+  return fmt::format("[{}] {}", size.section, size.key);
+}
+
+std::string default_costs_text(const std::vector<DefaultCost>& costs) {
+  std::string text;
+  for (const DefaultCost& each : costs)
+    text += fmt::format("  {:>5.1f} % of U of {:<6}  {}: {}\n", 100.0 * each.cost, each.output,
+                        key_of(*each.size), each.size->words);
+  return text;
 }
 
 }  // namespace abcal

@@ -24,4 +24,10 @@ struct DefaultCost {
 /// All defaults that the result contains, the most expensive first.
 std::vector<DefaultCost> default_costs(const EffectSizes& sizes, const Budget& budget);
 
+/// "[stage_uncertainty] step_deg"
+std::string key_of(const EffectSizeKey& size);
+
+/// A line for each default with its cost, its output, its key and its words.
+std::string default_costs_text(const std::vector<DefaultCost>& costs);
+
 }  // namespace abcal

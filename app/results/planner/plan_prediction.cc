@@ -8,7 +8,6 @@
 #include "app/ground/bench_file/level_file.h"
 #include "app/results/estimates/analyses.h"
 #include "protocol/record/planned_dwell.h"
-#include "protocol/uncertainty/budget.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -123,6 +122,13 @@ PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& pr
     prediction.limits[group] = largest_part(budgets.front(), worst);
   }
   return prediction;
+}
+
+Budget predict_budget(const PlanningBench& bench, const ProtocolConfig& protocol) {
+  const std::vector<PlannedAngle> plan = make_rotation_plan(protocol, bench.travel);
+  const PlanDuration duration = estimate_duration(plan, protocol, bench.speed,
+                                                  bench.config.items.front().accelerometer.settings.rate_hz);
+  return predicted_budget(bench, protocol, plan, duration, 1);
 }
 
 }  // namespace abcal

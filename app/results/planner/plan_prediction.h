@@ -7,6 +7,7 @@
 #include "app/ground/bench_file/bench_config.h"
 #include "app/results/planner/wanted.h"
 #include "protocol/plan/rotation_plan.h"
+#include "protocol/uncertainty/budget.h"
 
 namespace abcal {
 
@@ -48,5 +49,8 @@ struct PlanPrediction {
 /// @throws PlanError if the stage cannot reach an angle; std::invalid_argument if the estimator refuses the
 /// plan
 PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol);
+
+/// The budget of one of these simulated runs. @throws as predict_plan()
+Budget predict_budget(const PlanningBench& bench, const ProtocolConfig& protocol);
 
 }  // namespace abcal

@@ -1,0 +1,17 @@
+#pragma once
+
+#include <vector>
+
+#include "app/ground/bench_file/bench_config.h"
+#include "app/operate/session/bench_check.h"
+
+namespace abcal {
+
+/// Checks the bench as `abcal check` does, with a progress bar while it turns.
+/// @throws RunInterrupted, InstrumentError if a port cannot be opened
+std::vector<Finding> check_at_terminal(const BenchConfig& config, bool no_motion);
+
+/// Prints the findings and the verdict as text. @return the exit code
+int print_findings(const std::vector<Finding>& findings);
+
+}  // namespace abcal
