@@ -1,5 +1,6 @@
 #include "protocol/uncertainty/joint_trials.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -49,7 +50,11 @@ Eigen::Vector3d degrees_of_dwell(const DwellRecord& dwell) {
 }
 
 JointTrials::JointTrials(const ItemFit& own, const RunRecord& record, std::uint64_t seed)
-    : own_(own), model_(*own.solution->model), sizes_(record.tolerances), seed_(seed) {
+    : own_(own),
+      model_(*own.solution->model),
+      sizes_(record.tolerances),
+      seed_(seed),
+      hysteresis_(model_.hysteresis_unknowns()) {
   question_ = {own.options.noise_process, own.options.white_known,
                static_cast<double>(model_.residual().size())};
   units_ = units_of_line(model_.unit());
@@ -64,6 +69,7 @@ JointTrials::JointTrials(const ItemFit& own, const RunRecord& record, std::uint6
                           ? Shape::kNormal
                           : sizes_.shape_of(unknown.key));
   start_ = solve_at(model_, {.step_sd = model_.step_sd()});
+  start_root_ = start_.normal.covariance_root();
   start_angles_ = model_.noise_at_angles(Eigen::Vector3d::Ones());
   for (const NoiseCandidate& candidate : noise_candidates(question_)) add(candidate);
 }
@@ -80,7 +86,7 @@ void JointTrials::add(const NoiseCandidate& candidate) {
     at.whitener->whiten(linear.mean_weights);
     rows.bottomRows<3>() -= transposed_product_by_rows(linear.mean_weights, at.whitened_jacobian);
   }
-  linear.gain = at.normal.solve_columns(rows.transpose());
+  linear.line_root = transposed_product(linear.root, rows.transpose());
   linear_.emplace(candidate, std::move(linear));
 }
 
@@ -172,12 +178,17 @@ class JointTrials::Batch {
       values_.push_back(draws_.back().value);
       steps_.push_back(draws_.back().steps);
     }
-    // From the truth, where the misfit is the noise but for the signs of the hysteresis.
+    signs_.resize(count);
+    sign_columns_ = ReadingRows::Zero(of_.model_.residual().size(), 3 * count_);
+    for (std::size_t b = 0; b < count; ++b) take_signs(b, draws_[b].came_from);
+    // From the truth, where the misfit is the noise.
     residual_.resize(of_.model_.residual().size(), count_);
     for (int i = 0; i < kSteps; ++i) {
-      for (std::size_t b = 0; b < count; ++b)
-        set_residual(b, of_.readings_of(draws_[b]) -
-                            of_.model_.readings_at(values_[b], steps_[b], of_.model_.came_from()));
+      for (std::size_t b = 0; b < count; ++b) {
+        if (i > 0 && !of_.hysteresis_.empty()) take_signs(b, of_.model_.came_from_at(values_[b], steps_[b]));
+        set_residual(b,
+                     of_.readings_of(draws_[b]) - of_.model_.readings_at(values_[b], steps_[b], signs_[b]));
+      }
       step();
     }
   }
@@ -203,6 +214,7 @@ class JointTrials::Batch {
       column.segment<3>(3 * static_cast<Eigen::Index>(n)) += of_.start_angles_[n].by_step * steps_[b][n];
   }
 
+  /// Unknowns less their prior means, of each trial.
   Eigen::MatrixXd from_priors() const {
     Eigen::MatrixXd out(of_.prior_mean_.size(), count_);
     for (Eigen::Index b = 0; b < count_; ++b)
@@ -210,16 +222,96 @@ class JointTrials::Batch {
     return out;
   }
 
+  /// The normal equations of the trials, solved.
+  struct Solved {
+    Eigen::MatrixXd rooted;         ///< Unknowns x trials: R times it is the change of the unknowns.
+    Eigen::RowVectorXd fall;        ///< Fall of chi2.
+    Eigen::RowVectorXd growth;      ///< Growth of the logarithm of the normal matrix's determinant.
+    ReadingRows whitened_of_signs;  ///< sign_columns_, whitened; empty: no hysteresis.
+  };
+
+  /// Solves N change = J' V^-1 residual - P (value - prior), with the derivatives at the solution of the run,
+  /// but by the hysteresis with the signs of each trial. These change columns of J by E = sign_columns_, and
+  /// N by U M U' with U = [S, J' V^-1 E], where S selects the unknowns of the hysteresis, and M^-1 = [0, 1;
+  /// 1, -E' V^-1 E] (Woodbury's identity).
+  Solved solve(const AtNoise& at, const Eigen::MatrixXd& root, const ReadingRows& whitened) const {
+    Eigen::MatrixXd right = transposed_product_by_rows(at.whitened_jacobian, whitened);
+    right -= scaled_rows(of_.model_.prior_weight(), from_priors());
+    Solved out;
+    out.growth = Eigen::RowVectorXd::Zero(count_);
+    const std::vector<Eigen::Index>& hysteresis = of_.hysteresis_;
+    if (hysteresis.empty()) {
+      out.rooted = transposed_product(root, right);
+      out.fall = out.rooted.colwise().squaredNorm();
+      return out;
+    }
+    out.fall.resize(count_);
+    ReadingRows& columns = out.whitened_of_signs = sign_columns_;
+    at.whitener->whiten(columns);
+    for (Eigen::Index b = 0; b < count_; ++b) {
+      for (Eigen::Index j = 0; j < 3; ++j)
+        right(hysteresis[static_cast<std::size_t>(j)], b) += columns.col(3 * b + j).dot(whitened.col(b));
+    }
+    out.rooted = transposed_product(root, right);
+    const Eigen::MatrixXd linked =
+        transposed_product(root, transposed_product_by_rows(at.whitened_jacobian, columns));
+    // U in units of the stated size, so that the elements of the inner matrix are comparable.
+    const double size = of_.model_.unknowns()[static_cast<std::size_t>(hysteresis.front())].prior_sd;
+    Eigen::Matrix<double, Eigen::Dynamic, 6> update(root.cols(), 6);
+    for (std::size_t j = 0; j < 3; ++j)
+      update.col(static_cast<Eigen::Index>(j)) = root.row(hysteresis[j]).transpose() / size;
+    for (Eigen::Index b = 0; b < count_; ++b) {
+      const auto own = columns.middleCols<3>(3 * b);
+      update.rightCols<3>() = size * linked.middleCols<3>(3 * b);
+      Eigen::Matrix<double, 6, 6> inner = update.transpose() * update;
+      inner.topRightCorner<3, 3>() += Eigen::Matrix3d::Identity();
+      inner.bottomLeftCorner<3, 3>() += Eigen::Matrix3d::Identity();
+      inner.bottomRightCorner<3, 3>() -= size * size * own.transpose() * own;
+      const Eigen::PartialPivLU<Eigen::Matrix<double, 6, 6>> factor(inner);
+      const Eigen::Matrix<double, 6, 1> along = update.transpose() * out.rooted.col(b);
+      const Eigen::Matrix<double, 6, 1> taken = factor.solve(along);
+      out.fall(b) = out.rooted.col(b).squaredNorm() - along.dot(taken);
+      out.growth(b) = std::log(std::abs(factor.determinant()));
+      out.rooted.col(b) -= update * taken;
+    }
+    return out;
+  }
+
+  /// Effect on whitened readings (3 N x trials) of what the trials' signs change in the columns of J.
+  ReadingRows by_signs(const ReadingRows& columns, const Eigen::MatrixXd& change) const {
+    ReadingRows out = ReadingRows::Zero(columns.rows(), count_);
+    for (Eigen::Index b = 0; b < count_; ++b) {
+      for (Eigen::Index j = 0; j < 3; ++j)
+        out.col(b) += change(of_.hysteresis_[static_cast<std::size_t>(j)], b) * columns.col(3 * b + j);
+    }
+    return out;
+  }
+
+  /// Takes the signs of the present estimates.
+  void take_signs(std::size_t b, std::vector<Eigen::Vector3d> signs) {
+    const std::vector<Eigen::Vector3d>& of_run = of_.model_.came_from();
+    for (std::size_t n = 0; n < signs.size(); ++n) {
+      for (Eigen::Index j = 0; j < 3; ++j)
+        sign_columns_(3 * static_cast<Eigen::Index>(n) + j, 3 * static_cast<Eigen::Index>(b) + j) =
+            signs[n](j) - of_run[n](j);
+    }
+    signs_[b] = std::move(signs);
+  }
+
   /// One step of the minimisation, with the derivatives at the solution of the run.
   void step() {
     const AtNoise& at = of_.start_;
     ReadingRows whitened = residual_;
     at.whitener->whiten(whitened);
-    Eigen::MatrixXd right = transposed_product_by_rows(at.whitened_jacobian, whitened);
-    right -= scaled_rows(of_.model_.prior_weight(), from_priors());
-    const Eigen::MatrixXd change = at.normal.solve_columns(right);
-    const ReadingRows left = weighted(*at.whitener, whitened - times(at.whitened_jacobian, change));
+    const Solved solved = solve(at, of_.start_root_, whitened);
+    const Eigen::MatrixXd change = product(of_.start_root_, solved.rooted);
+    whitened -= times(at.whitened_jacobian, change);
     residual_ -= times(of_.model_.jacobian(), change);
+    if (!of_.hysteresis_.empty()) {
+      whitened -= by_signs(solved.whitened_of_signs, change);
+      residual_ -= by_signs(sign_columns_, change);
+    }
+    const ReadingRows left = weighted(*at.whitener, whitened);
     const double variance = of_.model_.step_sd() * of_.model_.step_sd();
     for (Eigen::Index b = 0; b < count_; ++b) {
       const auto k = static_cast<std::size_t>(b);
@@ -237,17 +329,18 @@ class JointTrials::Batch {
     ReadingRows whitened = residual_;
     linear.at.whitener->whiten(whitened);
     const Eigen::MatrixXd priors = from_priors();
-    const Eigen::MatrixXd weighted_priors = scaled_rows(of_.model_.prior_weight(), priors);
-    const Eigen::MatrixXd right =
-        transposed_product_by_rows(linear.at.whitened_jacobian, whitened) - weighted_priors;
+    const Solved solved = solve(linear.at, linear.root, whitened);
     BatchAnswer answer;
     answer.chi2 = whitened.colwise().squaredNorm();
-    answer.chi2 += priors.cwiseProduct(weighted_priors).colwise().sum();
-    answer.chi2 -= transposed_product(linear.root, right).colwise().squaredNorm();
-    answer.log_likelihood = linear.constant - 0.5 * answer.chi2.array();
-    answer.line = transposed_product(linear.gain, right);
-    if (linear.mean_weights.size() > 0)
+    answer.chi2 += priors.cwiseProduct(scaled_rows(of_.model_.prior_weight(), priors)).colwise().sum();
+    answer.chi2 -= solved.fall;
+    answer.log_likelihood = linear.constant - 0.5 * (answer.chi2.array() + solved.growth.array());
+    answer.line = transposed_product(linear.line_root, solved.rooted);
+    if (linear.mean_weights.size() > 0) {
+      if (!of_.hysteresis_.empty())
+        whitened -= by_signs(solved.whitened_of_signs, product(linear.root, solved.rooted));
       answer.line.bottomRows<3>() += transposed_product_by_rows(linear.mean_weights, whitened);
+    }
     return answers_.emplace(candidate, std::move(answer)).first->second;
   }
 
@@ -256,6 +349,9 @@ class JointTrials::Batch {
   std::vector<JointDraw> draws_;
   std::vector<Eigen::VectorXd> values_;
   std::vector<std::vector<double>> steps_;
+  std::vector<std::vector<Eigen::Vector3d>> signs_;  ///< For the hysteresis, of the estimates.
+  /// 3 N x 3 for each trial: by how much its signs differ from those of the run, column by column.
+  ReadingRows sign_columns_;
   ReadingRows residual_;  ///< 3 N x trials
   std::map<NoiseCandidate, BatchAnswer> answers_;
 };
@@ -278,9 +374,7 @@ OutputVector JointTrials::solved_in_full(std::uint64_t trial) const {
   std::vector<EffectReading> readings = own_.data.readings;
   for (std::size_t n = 0; n < readings.size(); ++n)
     readings[n].value = made.segment<3>(3 * static_cast<Eigen::Index>(n)).cwiseProduct(model_.unit());
-  EffectFitOptions options = own_.options;
-  options.came_from = model_.came_from();
-  const EffectFit fit = effect_fit(readings, options);
+  const EffectFit fit = effect_fit(readings, own_.options);
   if (!fit.converged) return OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
   return error_of(drawn, fit.line);
 }

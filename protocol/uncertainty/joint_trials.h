@@ -30,11 +30,10 @@ struct JointDraw {
 ///
 /// operator() applies the estimator with the derivatives at the solution of the run: two steps of
 /// minimisation from the truth on the model's exact readings, then the average over the noises by their
-/// likelihoods, as in effect_fit(). solved_in_full() calls effect_fit() itself, with the run's signs for the
-/// hysteresis.
+/// likelihoods, as in effect_fit(). solved_in_full() calls effect_fit() itself.
 ///
-/// The hysteresis acts with the signs of the responses that were drawn, while the estimator takes the signs
-/// that it found in the run. Where a response hardly changes from angle to angle they are often different.
+/// The hysteresis acts with the signs of the responses that were drawn; the estimator takes those of its own
+/// solution. Where a response hardly changes from angle to angle some are different.
 ///
 /// The noise: a process (tau, rho) with its posterior probability; white noise of Student's distribution
 /// where the uncertainty of a reading is from the scatter of a dwell; where the fit estimated its size, that
@@ -56,10 +55,10 @@ class JointTrials {
   /// The estimator, linear at the solution of the run, at one noise.
   struct Linear {
     AtNoise at;
-    double constant = 0.0;     ///< Log-likelihood without its chi2.
-    Eigen::MatrixXd root;      ///< Root of the covariance of the unknowns.
-    Eigen::MatrixXd gain;      ///< Unknowns x 12: the line response by the right side.
-    ReadingRows mean_weights;  ///< 3 N x 3, of the process mean; empty without a process.
+    double constant = 0.0;      ///< Log-likelihood without its chi2.
+    Eigen::MatrixXd root;       ///< R of the covariance of the unknowns, R R'.
+    Eigen::MatrixXd line_root;  ///< Unknowns x 12: R' times the derivatives of the line response.
+    ReadingRows mean_weights;   ///< 3 N x 3, of the process mean; empty without a process.
   };
   /// Results that a batch of trials (columns) gives at one noise.
   struct BatchAnswer {
@@ -79,13 +78,15 @@ class JointTrials {
   const EffectModel& model_;
   EffectSizes sizes_;
   std::uint64_t seed_;
+  std::vector<Eigen::Index> hysteresis_;  ///< Numbers of its unknowns; empty: not fitted.
   NoiseQuestion question_;
   Vector12 units_;                        ///< R of each output for one relative unit.
   Vector12 result_;                       ///< The line response of the run (R), for the voltmeter's share.
   std::vector<Eigen::Vector3d> degrees_;  ///< Degrees of freedom of each reading's u.
   Eigen::VectorXd prior_mean_;
-  std::vector<Shape> shapes_;  ///< One for each unknown.
-  AtNoise start_;              ///< At the noise of the minimisation.
+  std::vector<Shape> shapes_;   ///< One for each unknown.
+  AtNoise start_;               ///< At the noise of the minimisation.
+  Eigen::MatrixXd start_root_;  ///< Root of the covariance of the unknowns there.
   std::vector<NoiseAtAngle> start_angles_;
   std::map<NoiseCandidate, Linear> linear_;
 };

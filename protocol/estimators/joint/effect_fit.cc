@@ -141,9 +141,10 @@ EffectSolution solve_effects(std::span<const EffectReading> readings, const Effe
   NoiseSearch search = search_noise(model);
   if (search.points[search.best()].noise.tau > 0.0) fit.larger_sizes = size_evidence(model, search);
   const ShareGroups groups = share_groups(model);
+  out.unknown_signs = unknown_signs(model, groups, search.points[search.best()].normal.covariance_root());
   std::vector<LineAtNoise> lines;
   for (std::size_t i = 0; i < search.points.size(); ++i) {
-    lines.push_back(line_at(model, search.points[i], groups));
+    add_unknown_signs(out.unknown_signs, lines.emplace_back(line_at(model, search.points[i], groups)));
     out.noises.push_back(search.points[i].noise);
     out.weights.push_back(search.weight(i));
     out.log_likelihoods.push_back(search.points[i].log_likelihood);

@@ -32,7 +32,7 @@ struct EffectFitOptions {
   bool mean_step = true;      ///< false: F_X = F_Z = 0 exactly; for studies.
   bool noise_process = true;  ///< false: the noise is white.
   bool white_known = true;    ///< false: u is a first guess; the white noise of each output is estimated.
-  /// Signs for the hysteresis at each reading (ItemPoint::came_from); empty: those of the linear solution.
+  /// Signs for the hysteresis at each reading (ItemPoint::came_from); empty: those of the solution.
   std::vector<Eigen::Vector3d> came_from = {};
 };
 

@@ -180,7 +180,7 @@ void EffectModel::start_from_linear_fit() {
   jacobian_.resize(residual_.size(), layout_.count());
 }
 
-/// Finds the signs for the hysteresis, once, from the linear solution.
+/// First signs for the hysteresis: those of the linear solution.
 void EffectModel::find_directions() {
   if (!options_.came_from.empty()) {
     came_from_ = options_.came_from;
@@ -195,6 +195,46 @@ void EffectModel::find_directions() {
     if (n > 0) came_from_[n] = signs_of_change(before, y);
     before = y;
   }
+}
+
+bool EffectModel::take_directions() {
+  if (!options_.came_from.empty() || hysteresis_unknowns().empty()) return false;
+  std::vector<Eigen::Vector3d> here = came_from_at(value_, step_);
+  if (here == came_from_) return false;
+  came_from_ = std::move(here);
+  evaluate();
+  return true;
+}
+
+Eigen::VectorXd EffectModel::changes() const {
+  Eigen::VectorXd out = Eigen::VectorXd::Zero(residual_.size());
+  const Eigen::Matrix3d here = rows();
+  Eigen::Vector3d before = here * gravity(0).g;
+  for (std::size_t n = 1; n < readings_.size(); ++n) {
+    const Eigen::Vector3d y = here * gravity(n).g;
+    out.segment<3>(3 * static_cast<Eigen::Index>(n)) = y - before;
+    before = y;
+  }
+  return out;
+}
+
+ReadingRows EffectModel::changes_by_unknowns() const {
+  ReadingRows out = ReadingRows::Zero(residual_.size(), layout_.count());
+  const Eigen::Index rest = layout_.count() - layout_.first_stage();
+  for (Eigen::Index row = 3; row < out.rows(); ++row) {
+    const Eigen::Index first = layout_.own_count() * (row % 3);
+    const auto difference = jacobian_.row(row) - jacobian_.row(row - 3);
+    out.row(row).segment<3>(first) = difference.segment<3>(first);
+    out.row(row).tail(rest) = difference.tail(rest);
+  }
+  return out;
+}
+
+std::vector<Eigen::Index> EffectModel::hysteresis_unknowns() const {
+  std::vector<Eigen::Index> out;
+  for (std::size_t i = 0; i < unknowns_.size(); ++i)
+    if (unknowns_[i].effect == "hysteresis") out.push_back(static_cast<Eigen::Index>(i));
+  return out;
 }
 
 Eigen::Matrix3d EffectModel::rows_of(const Eigen::VectorXd& value) const {

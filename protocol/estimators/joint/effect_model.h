@@ -89,8 +89,19 @@ class EffectModel {
   /// Line response at another value of the unknowns.
   Vector12 line_values_at(const Eigen::VectorXd& value) const;
 
-  /// Signs for the hysteresis at each reading (ItemPoint::came_from): those of the fit.
+  /// Signs for the hysteresis at each reading (ItemPoint::came_from).
   const std::vector<Eigen::Vector3d>& came_from() const { return came_from_; }
+  /// Takes the signs of the responses at this point.
+  /// @return false: nothing changed, because they are the same, no hysteresis is fitted, or the options state
+  ///         the signs
+  bool take_directions();
+  /// Changes of the relative responses of u, v, w from the reading before, at this point (3 N), and their
+  /// derivatives by the unknowns: of first order, without the small slopes of the item's effects. Zero at the
+  /// first reading.
+  Eigen::VectorXd changes() const;
+  ReadingRows changes_by_unknowns() const;
+  /// Numbers of the unknowns of the hysteresis of u, v, w; empty: it is not fitted.
+  std::vector<Eigen::Index> hysteresis_unknowns() const;
   /// The signs of the responses themselves at another point.
   /// @param steps  eliminated step error of each reading (radian)
   std::vector<Eigen::Vector3d> came_from_at(const Eigen::VectorXd& value,

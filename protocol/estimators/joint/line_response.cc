@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <utility>
 
+#include "protocol/estimators/shared/reading_kernels.h"
+
 namespace abcal {
 namespace {
 
@@ -37,6 +39,44 @@ ShareGroups share_groups(const EffectModel& model) {
   for (std::size_t n = 0; n < model.angles(); ++n)
     ++out.groups[static_cast<std::size_t>(out.first_step + model.experiment_of(n) - 1)].unknowns;
   return out;
+}
+
+std::vector<UnknownSign> unknown_signs(const EffectModel& model, const ShareGroups& groups,
+                                       const Eigen::MatrixXd& covariance_root) {
+  constexpr double kNegligible = 1e-6;
+  std::vector<UnknownSign> out;
+  const std::vector<Eigen::Index> hysteresis = model.hysteresis_unknowns();
+  if (hysteresis.empty()) return out;
+  const Eigen::VectorXd change = model.changes();
+  Eigen::VectorXd variance =
+      times_upper(model.changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
+  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(Eigen::Vector3d::Ones());
+  for (std::size_t n = 1; n < angles.size(); ++n)
+    variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
+        model.step_sd() * model.step_sd() *
+        (angles[n].by_step.cwiseAbs2() + angles[n - 1].by_step.cwiseAbs2());
+  for (Eigen::Index row = 3; row < change.size(); ++row) {
+    const auto unknown = static_cast<std::size_t>(hysteresis[static_cast<std::size_t>(row % 3)]);
+    const double mean_sign = std::erf(change(row) / std::sqrt(2.0 * variance(row)));
+    const double sign = model.came_from()[static_cast<std::size_t>(row / 3)](row % 3);
+    const double wrong = 1.0 - 2.0 * sign * mean_sign + sign * sign;  // mean square of true - taken
+    if (!(wrong > kNegligible)) continue;
+    const auto at = static_cast<Eigen::Index>(unknown);
+    const double size =
+        std::max(model.unknowns()[unknown].prior_sd,
+                 std::sqrt(std::pow(model.value()(at), 2) + covariance_root.row(at).squaredNorm()));
+    out.push_back({row, groups.of_unknown[unknown], wrong * size * size});
+  }
+  return out;
+}
+
+void add_unknown_signs(std::span<const UnknownSign> signs, LineAtNoise& line) {
+  for (const UnknownSign& one : signs) {
+    const Vector12 by_reading = line.gain.row(one.reading).transpose();
+    const Covariance12 added = one.variance * by_reading * by_reading.transpose();
+    line.covariance += added;
+    line.shares[static_cast<std::size_t>(one.group)] += added;
+  }
 }
 
 void average_line(const EffectModel& model, ShareGroups groups, std::span<const LineAtNoise> lines,

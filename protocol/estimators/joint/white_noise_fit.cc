@@ -14,6 +14,10 @@
 namespace abcal {
 namespace {
 
+/// Changes of the signs for the hysteresis, each with a minimisation of its own. Signs that are still not
+/// those of their own solution are of responses that change by less than the readings tell.
+constexpr int kMostDirections = 5;
+
 /// The three readings of one angle.
 template <class Rows>
 auto of_angle(Rows& rows, std::size_t n) {
@@ -136,6 +140,13 @@ WhiteNoiseFit fit_with_white_noise(EffectModel& model) {
   WhiteNoiseProblem problem(model);
   WhiteNoiseFit out;
   out.minimum = minimise(problem);
+  // An output along a rotation axis changes as the inclinations of the axes say, which only the solution
+  // knows.
+  for (int pass = 0; pass < kMostDirections && out.minimum.found && model.take_directions(); ++pass) {
+    const int before = out.minimum.iterations;
+    out.minimum = minimise(problem);
+    out.minimum.iterations += before;
+  }
   if (out.minimum.found) out.reciprocal_condition = problem.reciprocal_condition();
   return out;
 }

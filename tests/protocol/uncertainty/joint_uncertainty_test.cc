@@ -150,20 +150,21 @@ TEST(JointUncertaintyTest, FewReadingsADwellWidenTheNoise) {
   ASSERT_FALSE(study.joint->differences.empty());
 }
 
-// An axis along a rotation axis hardly changes its response from angle to angle: the estimator takes signs
-// for its hysteresis that errors of the stage decide. What follows is in the trials, and is named.
-TEST(JointUncertaintyTest, SignsOfTheHysteresisThatTheRunDoesNotShowAreInTheTrials) {
+// An axis along a rotation axis hardly changes its response from angle to angle: inclinations of the stage's
+// axes decide the signs of its hysteresis. The fit finds them, and adds what it cannot find to u: the stated
+// u holds. With the signs of the linear solution, which knows no inclinations, u(phi) by Monte Carlo is 1.6
+// times the stated one; without the addition, 1.36 times.
+TEST(JointUncertaintyTest, TheSignsOfTheHysteresisAreThoseOfTheSolution) {
   const int phi_wu = 17;
   const auto ratio = [&](double hysteresis) {
     EffectSizes sizes;
     sizes.hysteresis = hysteresis;
     const RunUncertainty study = joint_uncertainty(measured(24, sizes, kReadingNoise, {}), with_trials(2000));
-    EXPECT_LT(study.joint->largest_deviation, 0.1);
-    EXPECT_EQ(study.warnings.empty(), hysteresis == 0.0);
+    EXPECT_TRUE(study.joint->differences.empty()) << study.warnings.front();
     return study.combined.standard_deviation(phi_wu) / study.joint->standard_uncertainty(phi_wu);
   };
   EXPECT_NEAR(ratio(0.0), 1.0, 0.06);
-  EXPECT_GT(ratio(2e-5), 1.2);
+  EXPECT_NEAR(ratio(2e-5), 1.0, 0.1);
 }
 
 TEST(JointUncertaintyTest, DegreesOfADwellAreThoseOfItsEffectiveReadings) {
