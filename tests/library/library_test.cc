@@ -32,6 +32,18 @@ TEST(Library, ASimulatedRunIsAnalysedToItsTruth) {
   EXPECT_NE(result.to_json().find("\"abcal.result/1\""), std::string::npos);
 }
 
+TEST(Library, TheAbcResultHasThePublishedOneBesides) {
+  const abcal::Record record = simulated().record;
+  const abcal::Result abc = abcal::analyse(record, "abc");
+  ASSERT_TRUE(abc.published());
+  const abcal::Published& published = *abc.published();
+  EXPECT_EQ(published.sensitivity_matrix.value.rows(), 3);
+  EXPECT_NEAR(std::sqrt(published.covariance.matrix(0, 0)), published.sensitivity_matrix.u(0, 0),
+              1e-12 * published.sensitivity_matrix.u(0, 0));
+  EXPECT_EQ(published.covariance_intrinsic.labels.at(3), "phi_uv");
+  EXPECT_FALSE(abcal::analyse(record, "joint").published());
+}
+
 TEST(Library, ArraysGiveTheRecordTheyWereTakenFrom) {
   const abcal::Record record = simulated().record;
   const std::vector<int> experiment = record.experiment();

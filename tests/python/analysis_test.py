@@ -4,11 +4,13 @@ import ast
 import inspect
 import json
 import pathlib
+import re
 import shutil
 import subprocess
 import tempfile
 import threading
 import unittest
+import xml.etree.ElementTree
 
 import numpy as np
 
@@ -64,6 +66,50 @@ class Results(unittest.TestCase):
         self.assertEqual(result.verdict, "not_usable")
         self.assertNotEqual(result.why, "")
         self.assertEqual(len(result.covariance), 0)
+
+    def test_the_published_result_is_the_json_s_and_the_table_s(self):
+        record = simulated().record
+        published = abcal.analyse(record, "abc").published
+        json_of = abcal.analyse(record, "abc").to_dict()["published"]
+        names = ["sensitivity_matrix", "offset", "intrinsic_sensitivity", "intrinsic_angle"]
+        for name in names:
+            values, stated = getattr(published, name), json_of[name]
+            quantities = [q for row in stated for q in row] if name == "sensitivity_matrix" else stated
+            self.assertEqual([q["value"] for q in quantities], values.value.ravel().tolist(), name)
+            self.assertEqual([q["standard_uncertainty"] for q in quantities], values.u.ravel().tolist(), name)
+            self.assertEqual(quantities[0]["unit"], values.unit, name)
+        np.testing.assert_array_equal(published.covariance.matrix, json_of["covariance"])
+        np.testing.assert_array_equal(published.covariance_intrinsic.matrix, json_of["covariance_intrinsic"])
+        self.assertEqual(published.covariance.labels, abcal.analyse(record, "abc").covariance.labels)
+        # Only "abc" has one, and its uncertainty has no effect but the paper's.
+        self.assertIsNone(abcal.analyse(record, "joint").published)
+        corrected = abcal.analyse(abcal.simulate(MATRIX, OFFSET, k3=np.full(3, 1e-3), steps=24).record, "abc")
+        difference = corrected.published.sensitivity_matrix.value - corrected.sensitivity_matrix.value
+        self.assertGreater(np.abs(np.diag(difference)).max(), 1e-4)
+
+    def test_a_result_shows_itself_in_a_notebook(self):
+        result = abcal.demo()
+        html = result._repr_html_()
+        root = xml.etree.ElementTree.fromstring(re.sub("&nbsp;|<br>", " ", html))
+        self.assertEqual(root.tag, "div")
+        text = " ".join(root.itertext())
+        self.assertIn("Usable (joint estimator): " + result.why[:20], text)
+        for value in result.sensitivity_matrix.value.ravel():
+            # Five digits of each element stand in the table, with a sign of its own.
+            self.assertIn(f"{abs(value):.5f}"[:6], text)
+        self.assertIn("±", text)
+        pictures = root.findall(".//{http://www.w3.org/2000/svg}svg")
+        self.assertEqual(len(pictures), 1 if shutil.which("gnuplot") else 0)
+        # The ids of two results on one page differ.
+        ids = set(re.findall(r'\bid="([^"]+)"', html))
+        others = set(re.findall(r'\bid="([^"]+)"', abcal.analyse(simulated().record, "abc")._repr_html_()))
+        self.assertEqual(bool(ids), bool(pictures))
+        self.assertFalse(ids & others)
+        # What is not usable shows no number.
+        alpha, readings, u = circles(simulated().record)
+        refused = abcal.analyse(abcal.Record(alpha, np.zeros_like(readings), u), "joint")._repr_html_()
+        self.assertIn("Not usable", refused)
+        self.assertNotIn("<table", refused)
 
     def test_an_unknown_estimator(self):
         with self.assertRaisesRegex(ValueError, "abc, joint or norm"):

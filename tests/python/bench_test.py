@@ -1,11 +1,15 @@
 """Runs from Python: callbacks, halts, Ctrl-C, resuming, the asynchronous iterator, certificates."""
 
 import asyncio
+import os
 import pathlib
 import signal
 import subprocess
 import tempfile
+import tomllib
 import unittest
+
+import numpy as np
 
 import abcal
 from support import PROGRAM, SOURCE, write_bench
@@ -41,6 +45,27 @@ class Runs(unittest.TestCase):
         self.assertEqual(run.result.to_dict(), abcal.analyse(abcal.load(run.file)).to_dict())
         verified = subprocess.run([PROGRAM, "verify", run.file], capture_output=True)
         self.assertEqual(verified.returncode, 0, verified.stdout)
+
+    def test_the_demo_is_that_of_the_program_without_its_console(self):
+        elsewhere = self.folder / "elsewhere"
+        elsewhere.mkdir()
+        before = os.getcwd()
+        self.addCleanup(os.chdir, before)
+        os.chdir(elsewhere)
+        result = abcal.demo(steps=24)
+        self.assertEqual((result.estimator, result.verdict), ("joint", "usable"), result.why)
+        self.assertEqual(list(elsewhere.iterdir()), [])
+        # The emulator's true values, as `abcal demo` compares with them.
+        truth = tomllib.loads((SOURCE / "docs/examples/emulated.toml").read_text())["simulation"]
+        error = result.sensitivity_matrix.value - truth["sensitivity_matrix"]
+        self.assertLess(np.abs(error / result.sensitivity_matrix.u).max(), 5.0)
+        self.assertLess(np.abs((result.offset.value - truth["offset"]) / result.offset.u).max(), 5.0)
+        with self.assertRaisesRegex(ValueError, "found 7; required: a divisor of 360"):
+            abcal.demo(steps=7)
+        os.environ["ABCAL_REGISTER"] = str(elsewhere / "register.db")
+        self.addCleanup(os.environ.pop, "ABCAL_REGISTER", None)
+        with self.assertRaisesRegex(ValueError, "register that ABCAL_REGISTER names"):
+            abcal.demo()
 
     def test_an_exception_of_the_callback_halts_and_the_run_resumes(self):
         def fail():

@@ -30,15 +30,26 @@ std::string example_text(std::string_view path) {
   throw std::logic_error(fmt::format("{} is not built in", path));
 }
 
-}  // namespace
-
-std::string demo_bench(const std::filesystem::path& folder, int steps) {
+/// The example with these ports and a turn of so many steps.
+std::string example_bench(const std::string& stage, const std::string& accelerometer, int steps) {
   constexpr int kTurn = 360;
   if (steps < 1 || kTurn % steps != 0)
     throw std::invalid_argument(
-        fmt::format("--steps {}: required: a divisor of 360, as 24, 30, 36 or 72", steps));
+        fmt::format("steps: found {}; required: a divisor of 360, as 24, 30, 36 or 72", steps));
   std::string text = example_text("emulated.toml");
   text.erase(0, text.find("schema ="));
+  replace_first(text, "\"build/emulated/stage\"", stage);
+  replace_first(text, "\"build/emulated/accelerometer\"", accelerometer);
+  replace_first(text, "steps = 72\nstep_deg = 5.0",
+                fmt::format("steps = {}\nstep_deg = {}.0", steps, kTurn / steps));
+  return text;
+}
+
+}  // namespace
+
+std::string demo_bench(const std::filesystem::path& folder, int steps) {
+  std::string text =
+      example_bench(toml_string(folder / "stage"), toml_string(folder / "accelerometer"), steps);
   text.insert(
       0,
       "# The bench of `abcal demo`. Its instruments are emulated over pseudo-terminals in real time. To "
@@ -46,16 +57,17 @@ std::string demo_bench(const std::filesystem::path& folder, int steps) {
       "#   abcal emulate bench.toml --link-dir .     (in this folder)\n"
       "#   abcal run bench.toml                      (in another terminal)\n"
       "# The settle time and the number of readings suit a demonstration, not a calibration.\n");
-  replace_first(text, "\"build/emulated/stage\"", toml_string(folder / "stage"));
-  replace_first(text, "\"build/emulated/accelerometer\"", toml_string(folder / "accelerometer"));
-  replace_first(text, "steps = 72\nstep_deg = 5.0",
-                fmt::format("steps = {}\nstep_deg = {}.0", steps, kTurn / steps));
   return text;
 }
 
 std::string emulated_sections() {
   const std::string text = example_text("emulated.toml");
   return text.substr(text.find("[environment]"));
+}
+
+std::string demo_bench_in_process(int steps) {
+  return "# The bench of abcal.demo(). Its instruments are emulated inside the program that measures.\n" +
+         example_bench("\"simulated\"", "\"simulated\"", steps);
 }
 
 std::filesystem::path write_demo_bench(const std::filesystem::path& folder, int steps) {

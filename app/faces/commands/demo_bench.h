@@ -15,6 +15,10 @@ std::string demo_bench(const std::filesystem::path& folder, int steps);
 /// needs besides its instruments.
 std::string emulated_sections();
 
+/// The same bench with the emulated instruments inside the program that reads it.
+/// @throws as demo_bench()
+std::string demo_bench_in_process(int steps);
+
 /// Writes the bench file into the folder, as "bench.toml" or under the first free name: a file of another
 /// content stays as it is.
 /// @return its path

@@ -5,6 +5,7 @@
 
 #include "app/faces/commands/certificate_options.h"
 #include "app/faces/commands/commands.h"
+#include "app/faces/commands/print_pdf.h"
 #include "app/ground/document/document_html.h"
 #include "app/ground/document/weasyprint.h"
 #include "app/ground/system/exit_code.h"
@@ -57,7 +58,7 @@ void write_printed(const IssueOptions& options, const std::string& xml) {
   const Attachment attachment{folder / "certificate.xml", AttachmentKind::kData};
   OutputFile(attachment.file).write(xml);
   OutputFile pdf(options.pdf);
-  printer.print(page.html, pdf.temporary(), attachment);
+  print_pdf(printer, page.html, pdf.temporary(), attachment);
   pdf.commit();
   if (options.asked.key.empty()) return;
   OutputFile(signature_path_of(options.pdf))

@@ -9,6 +9,7 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <nlohmann/json.hpp>
 
 #include "app/ground/document/gnuplot.h"
@@ -138,17 +139,39 @@ FoundPlan answer_to(const PlanQuestion& question, const ReachOptions& options, P
   return found;
 }
 
-PlanSearch search_with_bar(const PlanQuestion& question, ProgressBar& bar) {
-  return PlanSearch(question.bench, [&bar](std::size_t done) {
-    constexpr double kUsualPredictions = 120.0;
-    bar.show(std::min(static_cast<double>(done), kUsualPredictions), kUsualPredictions);
-  });
-}
+/// The predictions that are done, of all that a command usually needs.
+class SearchProgress {
+ public:
+  SearchProgress(const PlanQuestion& question, bool with_curve)
+      : of_answer_(question.within_s ? PlanSearch::kPredictionsOfBestWithin
+                                     : PlanSearch::kPredictionsOfShortest),
+        total_(of_answer_ +
+               (with_curve ? static_cast<double>(kCurveMinutes.size() * PlanSearch::kPredictionsOfBestWithin)
+                           : 0.0)),
+        of_question_(of_answer_) {}
+
+  /// For PlanSearch, which this must outlive.
+  std::function<void(double)> listener() {
+    return [this](double part) { bar_.show(before_ + part * of_question_, total_); };
+  }
+  /// A question is answered; the next one is a time of the curve.
+  void next() {
+    before_ += of_question_;
+    of_question_ = PlanSearch::kPredictionsOfBestWithin;
+  }
+  void clear() { bar_.clear(); }
+
+ private:
+  RealClock clock_;
+  ProgressBar bar_{"Predicting", clock_};
+  double of_answer_, total_, of_question_, before_ = 0.0;
+};
 
 /// The best plan for each of kCurveMinutes that is long enough.
-std::vector<PlanPrediction> curve(PlanSearch& search, const WantedValues& wanted) {
+std::vector<PlanPrediction> curve(PlanSearch& search, const WantedValues& wanted, SearchProgress& progress) {
   std::vector<PlanPrediction> plans;
   for (const double minutes : kCurveMinutes) {
+    progress.next();
     if (auto plan = search.best_within(60.0 * minutes, wanted)) plans.push_back(*std::move(plan));
   }
   return plans;
@@ -225,11 +248,10 @@ std::string question_words(const ReachOptions& options) {
 
 PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config) {
   const PlanQuestion question = question_of(options, planning_bench(config, {}));
-  RealClock clock;
-  ProgressBar bar("Predicting", clock);
-  PlanSearch search = search_with_bar(question, bar);
+  SearchProgress progress(question, false);
+  PlanSearch search(question.bench, progress.listener());
   FoundPlan found = answer_to(question, options, search);
-  bar.clear();
+  progress.clear();
   if (!found.plan)
     throw std::runtime_error(fmt::format("out of reach: {}", fmt::join(found.out_of_reach, "; ")));
   return *std::move(found.plan);
@@ -240,12 +262,11 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
   const WantedValues& wanted = question.wanted;
   const BenchConfig& config = question.bench.config;
   if (!options.plot.empty()) require_writable({{"--plot", options.plot}}, {options.bench_file}, true);
-  RealClock clock;
-  ProgressBar bar("Predicting", clock);
-  PlanSearch search = search_with_bar(question, bar);
+  SearchProgress progress(question, true);
+  PlanSearch search(question.bench, progress.listener());
   const FoundPlan found = answer_to(question, options, search);
-  const std::vector<PlanPrediction> others = curve(search, wanted);
-  bar.clear();
+  const std::vector<PlanPrediction> others = curve(search, wanted, progress);
+  progress.clear();
   if (!options.plot.empty()) plot_curve(options.plot, others);
   if (options.write && found.plan) write_into_bench_file(options, *found.plan);
   if (options.json) {

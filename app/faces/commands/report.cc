@@ -10,6 +10,7 @@
 
 #include "app/faces/commands/certificate_options.h"
 #include "app/faces/commands/commands.h"
+#include "app/faces/commands/print_pdf.h"
 #include "app/ground/document/document_html.h"
 #include "app/ground/document/document_text.h"
 #include "app/ground/document/weasyprint.h"
@@ -61,7 +62,7 @@ void write_pdf(PdfPrinter& printer, const HtmlPage& page, OutputFile& file, cons
     attachment = {folder / "certificate.xml", AttachmentKind::kData};
     OutputFile(attachment->file).write(certificate_xml);
   }
-  printer.print(page.html, file.temporary(), attachment);
+  print_pdf(printer, page.html, file.temporary(), attachment);
   file.commit();
 }
 

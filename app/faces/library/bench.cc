@@ -8,6 +8,7 @@
 #include <utility>
 #include <variant>
 
+#include "app/faces/commands/demo_bench.h"
 #include "app/faces/library/data.h"
 #include "app/faces/library/helper_folder.h"
 #include "app/faces/run/run_session.h"
@@ -124,8 +125,10 @@ CompleteRun Bench::Data::measured(const Listener& listener,
   if (item.results.empty())
     throw std::runtime_error(outcome->path.string() + ": a levelling, not a calibration; it has no result");
   std::vector<Result> results;
-  for (const ::abcal::CalibrationResult& each : item.results) results.push_back(public_result(each));
-  return {outcome->path, outcome->sha256, public_result(item.result()), std::move(results)};
+  for (const ::abcal::CalibrationResult& each : item.results)
+    results.push_back(public_result(each, item.stored.record));
+  return {outcome->path, outcome->sha256, public_result(item.result(), item.stored.record),
+          std::move(results)};
 }
 
 Bench::Bench(const std::filesystem::path& file) : data_(std::make_unique<Data>()) {
@@ -146,6 +149,10 @@ std::string Bench::toml() const {
 std::vector<std::string> Bench::warnings() const {
   return data_->config.warnings;
 }
+std::string demo_bench(int steps) {
+  return ::abcal::demo_bench_in_process(steps);
+}
+
 std::vector<std::string> Bench::simulated() const {
   return ::abcal::simulated_instruments(data_->config);
 }

@@ -2,6 +2,7 @@
 
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 
 #include "abcal/record.h"
@@ -21,12 +22,15 @@ struct [[gnu::visibility("hidden")]] Result::Data {
   ::abcal::CalibrationResult result;
   Values sensitivity_matrix, offset, intrinsic_sensitivity, intrinsic_angle;
   Covariance covariance, covariance_intrinsic;
+  std::optional<Published> published;
+  std::optional<double> nominal_response;  ///< R for one g_loc, of the item; nothing: not known.
 };
 
 // Hidden functions belong to no interface.
 
-/// The public form of a result.
-[[gnu::visibility("hidden")]] Result public_result(::abcal::CalibrationResult result);
+/// The public form of a result. @param record  the one that was analysed
+[[gnu::visibility("hidden")]] Result public_result(::abcal::CalibrationResult result,
+                                                   const ::abcal::RunRecord& record);
 
 /// Sets sizes by their keys, as in RecordSettings::effects, with the source "stated".
 /// @throws std::invalid_argument

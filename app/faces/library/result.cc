@@ -8,13 +8,18 @@
 
 #include "app/faces/library/data.h"
 #include "app/faces/library/no_colours.h"
+#include "app/ground/document/document_html.h"
+#include "app/ground/document/gnuplot.h"
 #include "app/ground/system/version.h"
 #include "app/results/estimates/analyses.h"
 #include "app/results/estimates/estimators.h"
 #include "app/results/estimates/result_json.h"
 #include "app/results/estimates/result_text.h"
+#include "app/results/report/first_page.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/plan/limits.h"
+#include "protocol/record/sha256.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal::v1 {
@@ -78,13 +83,29 @@ Covariance intrinsic_covariance(const ::abcal::CalibrationResult& result) {
   return covariance;
 }
 
+Published published_of(const ::abcal::PublishedResult& published) {
+  ::abcal::CalibrationResult result;
+  result.sensitivity_matrix = published.sensitivity_matrix;
+  result.offset = published.offset;
+  result.intrinsic_sensitivity = published.intrinsic_sensitivity;
+  result.intrinsic_angle = published.intrinsic_angle;
+  result.covariance = published.covariance;
+  result.covariance_intrinsic = published.covariance_intrinsic;
+  return {matrix_of(result),
+          column_of(result.offset),
+          column_of(result.intrinsic_sensitivity),
+          column_of(result.intrinsic_angle),
+          outputs_covariance(result),
+          intrinsic_covariance(result)};
+}
+
 }  // namespace
 
 const char* version() {
   return ::abcal::program_version();
 }
 
-Result public_result(::abcal::CalibrationResult result) {
+Result public_result(::abcal::CalibrationResult result, const ::abcal::RunRecord& record) {
   Result::Data data;
   data.sensitivity_matrix = matrix_of(result);
   data.offset = column_of(result.offset);
@@ -92,6 +113,9 @@ Result public_result(::abcal::CalibrationResult result) {
   data.intrinsic_angle = column_of(result.intrinsic_angle);
   data.covariance = outputs_covariance(result);
   data.covariance_intrinsic = intrinsic_covariance(result);
+  if (result.published) data.published = published_of(*result.published);
+  data.nominal_response =
+      ::abcal::nominal_response(record.expected, record.response_unit, record.g_loc.value_mps2);
   data.result = std::move(result);
   return Result(std::make_shared<const Result::Data>(std::move(data)));
 }
@@ -155,11 +179,22 @@ Values Result::alignment() const {
   return data_->result.joint ? column_of(data_->result.joint->alignment) : Values{};
 }
 
+const std::optional<Published>& Result::published() const {
+  return data_->published;
+}
+
 std::string Result::to_json() const {
   return ::abcal::result_json(data_->result).dump(2);
 }
 std::string Result::to_text() const {
   return ::abcal::result_text(data_->result, no_colours());
+}
+std::string Result::to_html() const {
+  const ::abcal::Section section = ::abcal::result_section(data_->result, data_->nominal_response,
+                                                           ::abcal::is_installed(::abcal::kGnuplot));
+  // Several results in a notebook: the ids of each begin in their own way.
+  constexpr std::size_t kPrefix = 12;
+  return ::abcal::embedded_html(section, "r" + ::abcal::sha256_of(to_json()).substr(0, kPrefix) + "f");
 }
 
 std::vector<std::string> estimators() {
@@ -168,8 +203,9 @@ std::vector<std::string> estimators() {
 
 Result analyse(const Record& record, const std::string& estimator) {
   const ::abcal::RunRecord& data = record.data().record;
-  return public_result(::abcal::analyse(
-      data, estimator.empty() ? ::abcal::declared_estimator(data) : ::abcal::find_estimator(estimator)));
+  return public_result(::abcal::analyse(data, estimator.empty() ? ::abcal::declared_estimator(data)
+                                                                : ::abcal::find_estimator(estimator)),
+                       data);
 }
 
 Result analyse_joint(const Record& record, const JointChoices& choices) {
@@ -181,7 +217,7 @@ Result analyse_joint(const Record& record, const JointChoices& choices) {
   options.noise_process = choices.noise_process;
   const ::abcal::RunRecord& data = record.data().record;
   options.measured_alignment = data.measured_alignment;
-  return public_result(::abcal::analyse_joint(data, options));
+  return public_result(::abcal::analyse_joint(data, options), data);
 }
 
 }  // namespace abcal::v1

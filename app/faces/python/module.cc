@@ -155,6 +155,16 @@ void add_result(py::module_& m) {
       .def_readonly("probability", &EffectFound::probability)
       .def_readonly("agrees", &EffectFound::agrees);
   constexpr auto kInside = py::return_value_policy::reference_internal;
+  py::class_<Published>(
+      m, "Published",
+      "The result of 'abc' by the formula of the paper, not corrected for k2 and k3; members "
+      "as of Result.")
+      .def_readonly("sensitivity_matrix", &Published::sensitivity_matrix)
+      .def_readonly("offset", &Published::offset)
+      .def_readonly("intrinsic_sensitivity", &Published::intrinsic_sensitivity)
+      .def_readonly("intrinsic_angle", &Published::intrinsic_angle)
+      .def_readonly("covariance", &Published::covariance)
+      .def_readonly("covariance_intrinsic", &Published::covariance_intrinsic);
   py::class_<Result>(m, "Result", "The result of one estimator on one record; never changed.")
       .def_property_readonly("estimator", &Result::estimator)
       .def_property_readonly("verdict", &Result::verdict, "'usable', 'doubtful' or 'not_usable'.")
@@ -175,10 +185,19 @@ void add_result(py::module_& m) {
       .def_property_readonly("effects", &Result::effects)
       .def_property_readonly("alignment", &Result::alignment,
                              "Zx, Zy, Xz of the joint estimator, shape (3,).")
+      .def_property_readonly(
+          "published", [](const Result& r) { return r.published() ? &*r.published() : nullptr; }, kInside,
+          "By the paper's own formula, for comparison with other laboratories' ABC results; None but for "
+          "'abc'.")
       .def("to_json", &Result::to_json, "As `abcal analyse --json`.")
       .def(
           "to_dict", [](const Result& r) { return dict_of(r.to_json()); }, "The same as a dict.")
       .def("to_text", &Result::to_text, "As `abcal analyse` prints it.")
+      .def("to_html", &Result::to_html, py::call_guard<py::gil_scoped_release>(),
+           "As a notebook shows it: verdict, values with their expanded uncertainties, and a figure if "
+           "gnuplot "
+           "is installed.")
+      .def("_repr_html_", &Result::to_html, py::call_guard<py::gil_scoped_release>())
       .def("__repr__",
            [](const Result& r) { return "<abcal.Result " + r.estimator() + ": " + r.verdict() + ">"; });
   m.def(
@@ -375,6 +394,10 @@ void add_bench(py::module_& m) {
       .def_readonly("sha256", &CompleteRun::sha256)
       .def_readonly("result", &CompleteRun::result)
       .def_readonly("all_results", &CompleteRun::all_results);
+  m.def("demo_bench", &demo_bench, "steps"_a = 30,
+        "The bench file of `abcal demo` as text, with the emulated instruments inside this process: a run on "
+        "it takes\n"
+        "less than a second. steps: angles of each experiment, a divisor of 360.");
   const auto halt = [](Bench& bench) { return [&bench] { bench.halt(); }; };
   py::class_<Bench>(m, "Bench", "A bench file and its instruments, run as the command line runs it.")
       .def(py::init<const std::filesystem::path&>(), "path"_a, py::call_guard<py::gil_scoped_release>())

@@ -9,6 +9,7 @@
 #include <cctype>
 #include <cstdio>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <memory>
 #include <numbers>
@@ -391,17 +392,31 @@ class PageBuilder {
     add(body, "h1", nullptr, content_.title);
     if (!content_.subtitle.empty()) add(body, "p", "subtitle", content_.subtitle);
     for (const std::string& caution : content_.cautions) add(body, "p", "caution", typeset_numbers(caution));
-    for (const Section& section : content_.sections) {
-      xmlNode* part = add(body, "section", section.on_new_page ? "new-page" : nullptr);
-      if (!section.title.empty()) add(part, "h2", nullptr, section.title);
-      for (const Block& block : section.blocks)
-        std::visit([&](const auto& each) { this->block(part, each); }, block);
-    }
-    page_.html = serialised();
+    for (const Section& section : content_.sections)
+      blocks(add(body, "section", section.on_new_page ? "new-page" : nullptr), section);
+    page_.html = serialised([this](xmlOutputBuffer* buffer) {
+      htmlDocContentDumpFormatOutput(buffer, document_.get(), "UTF-8", 0);
+    });
     return std::move(page_);
   }
 
+  std::string build_part(const std::string& figure_prefix) {
+    figure_prefix_ = figure_prefix;
+    xmlNode* part = xmlNewDocNode(document_.get(), nullptr, as_xml("div"), nullptr);
+    xmlDocSetRootElement(document_.get(), part);
+    for (const Section& section : content_.sections) blocks(part, section);
+    return serialised([this, part](xmlOutputBuffer* buffer) {
+      htmlNodeDumpFormatOutput(buffer, document_.get(), part, "UTF-8", 0);
+    });
+  }
+
  private:
+  void blocks(xmlNode* part, const Section& section) {
+    if (!section.title.empty()) add(part, "h2", nullptr, section.title);
+    for (const Block& block : section.blocks)
+      std::visit([&](const auto& each) { this->block(part, each); }, block);
+  }
+
   xmlNode* add(xmlNode* parent, const char* name, const char* css = nullptr, const std::string& text = {}) {
     xmlNode* node = xmlNewChild(parent, nullptr, as_xml(name), nullptr);
     if (node == nullptr) throw std::bad_alloc();
@@ -522,7 +537,7 @@ class PageBuilder {
     xmlNode* root = drawn ? xmlDocGetRootElement(drawn.get()) : nullptr;
     if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
     MarkColours marks;
-    prepare_picture(root, fmt::format("f{}_", figures_ + 1), marks);
+    prepare_picture(root, fmt::format("{}{}_", figure_prefix_, figures_ + 1), marks);
     join_all_marks(root);
     unwrap_groups(root);
     std::map<std::string, xmlNode*> joined;
@@ -562,11 +577,11 @@ class PageBuilder {
     return result;
   }
 
-  std::string serialised() const {
+  static std::string serialised(const std::function<void(xmlOutputBuffer*)>& write) {
     const std::unique_ptr<xmlOutputBuffer, decltype(&xmlOutputBufferClose)> buffer(
         xmlAllocOutputBuffer(nullptr), xmlOutputBufferClose);
     if (!buffer) throw std::bad_alloc();
-    htmlDocContentDumpFormatOutput(buffer.get(), document_.get(), "UTF-8", 0);
+    write(buffer.get());
     return {reinterpret_cast<const char*>(xmlOutputBufferGetContent(buffer.get())),
             xmlOutputBufferGetSize(buffer.get())};
   }
@@ -574,6 +589,7 @@ class PageBuilder {
   const Document& content_;
   XmlDocument document_;
   HtmlPage page_;
+  std::string figure_prefix_ = "f";
   int figures_ = 0;
 };
 
@@ -581,6 +597,13 @@ class PageBuilder {
 
 HtmlPage document_html(const Document& document) {
   return PageBuilder(document).build();
+}
+
+std::string embedded_html(const Section& section, const std::string& figure_prefix) {
+  Document document;
+  document.figure_words = "{1}";
+  document.sections.push_back(section);
+  return PageBuilder(document).build_part(figure_prefix);
 }
 
 }  // namespace abcal

@@ -20,4 +20,11 @@ struct HtmlPage {
 /// place
 HtmlPage document_html(const Document& document);
 
+/// A section as a part of a page of others, without a style: one <div>. Its figures have captions without
+/// numbers.
+/// @param figure_prefix  begins the ids of its figures: letters and digits, begins with a letter, unlike that
+/// of other parts of the page
+/// @throws as document_html()
+std::string embedded_html(const Section& section, const std::string& figure_prefix);
+
 }  // namespace abcal

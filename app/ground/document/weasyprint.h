@@ -34,6 +34,9 @@ class PdfPrinter {
   ToolAwaitingInput weasyprint_;
 };
 
+/// How long the print of such a page usually takes, by its size.
+double usual_print_duration_s(const std::string& html);
+
 /// The data file inside a PDF of a PdfPrinter; empty: it has none.
 /// @throws ProgramMissing, RunInterrupted, std::runtime_error (no PDF)
 std::string attachment_of_pdf(const std::filesystem::path& pdf);

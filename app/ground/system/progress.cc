@@ -78,4 +78,13 @@ void ProgressBar::clear() {
   drawn_ = false;
 }
 
+UsualDurationBar::UsualDurationBar(std::string title, double usual_s, const Clock& clock)
+    : bar_(std::move(title), clock), clock_(clock), usual_s_(usual_s), started_(clock.now()) {}
+
+void UsualDurationBar::show() {
+  constexpr double kWorthABar = 1.0, kNearTheEnd = 0.97;
+  if (usual_s_ < kWorthABar) return;
+  bar_.show(std::min(to_seconds(clock_.now() - started_), kNearTheEnd * usual_s_), usual_s_);
+}
+
 }  // namespace abcal

@@ -37,4 +37,20 @@ class ProgressBar {
   double done_at_start_ = -1.0;
 };
 
+/// The bar of a job that tells nothing of its progress, by the time that such jobs usually take.
+class UsualDurationBar {
+ public:
+  /// @param usual_s  jobs that usually take less than 1 s get no bar
+  UsualDurationBar(std::string title, double usual_s, const Clock& clock);
+
+  /// To be called now and then. The bar stops shortly before its end where the job takes longer than usual.
+  void show();
+
+ private:
+  ProgressBar bar_;
+  const Clock& clock_;
+  double usual_s_;
+  Clock::Instant started_;
+};
+
 }  // namespace abcal

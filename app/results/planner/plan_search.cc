@@ -7,8 +7,15 @@
 
 namespace abcal {
 
-PlanSearch::PlanSearch(PlanningBench bench, std::function<void(std::size_t)> progress)
+PlanSearch::PlanSearch(PlanningBench bench, std::function<void(double)> progress)
     : bench_(std::move(bench)), progress_(std::move(progress)) {}
+
+void PlanSearch::begin_steps(std::size_t tried, int predictions) {
+  constexpr auto kCount = static_cast<double>(kTriedSteps.size());
+  part_ = static_cast<double>(tried) / kCount;
+  end_of_steps_ = static_cast<double>(tried + 1) / kCount;
+  part_of_prediction_ = 1.0 / predictions;
+}
 
 ProtocolConfig PlanSearch::protocol(int steps, int readings) const {
   ProtocolConfig protocol = bench_.config.protocol;
@@ -28,7 +35,8 @@ const PlanPrediction& PlanSearch::predicted(int steps, int readings) {
   const auto [place, is_new] = predicted_.try_emplace({steps, readings});
   if (is_new) {
     place->second = predict_plan(bench_, protocol(steps, readings));
-    if (progress_) progress_(predicted_.size());
+    part_ = std::min(part_ + part_of_prediction_, end_of_steps_);
+    if (progress_) progress_(part_);
   }
   return place->second;
 }
@@ -60,7 +68,9 @@ std::optional<int> PlanSearch::most_readings(int steps, double duration_s) const
 
 FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
   FoundPlan found;
-  for (const int steps : kTriedSteps) {
+  for (std::size_t tried = 0; tried < kTriedSteps.size(); ++tried) {
+    const int steps = kTriedSteps[tried];
+    begin_steps(tried, kPredictionsOfShortest);
     // Longer than the best one even with the fewest readings: not worth a prediction.
     if (found.plan && duration(steps, kLeastReadings).total_s() >= found.plan->duration.total_s()) continue;
     const auto readings = least_readings(steps, wanted);
@@ -86,7 +96,9 @@ FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
 
 std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const WantedValues& wanted) {
   std::optional<PlanPrediction> best;
-  for (const int steps : kTriedSteps) {
+  for (std::size_t tried = 0; tried < kTriedSteps.size(); ++tried) {
+    const int steps = kTriedSteps[tried];
+    begin_steps(tried, kPredictionsOfBestWithin);
     const auto readings = most_readings(steps, duration_s);
     if (!readings) continue;
     const PlanPrediction& plan = predicted(steps, *readings);

@@ -29,8 +29,13 @@ struct FoundPlan {
 /// Searches for plans of one bench. Predictions are kept, so that further questions cost little.
 class PlanSearch {
  public:
-  /// @param progress  called after each prediction; may be empty
-  explicit PlanSearch(PlanningBench bench, std::function<void(std::size_t predictions)> progress = {});
+  /// @param progress  called after each prediction with the part of the present question that is done, from 0
+  /// to 1; may be empty
+  explicit PlanSearch(PlanningBench bench, std::function<void(double part)> progress = {});
+
+  /// Predictions that a question usually needs.
+  static constexpr int kPredictionsOfBestWithin = static_cast<int>(kTriedSteps.size());
+  static constexpr int kPredictionsOfShortest = 12 * kPredictionsOfBestWithin;
 
   /// The shortest plan of kTriedSteps and any dwell whose predicted uncertainties are at most those wanted.
   FoundPlan shortest(const WantedValues& wanted);
@@ -41,6 +46,9 @@ class PlanSearch {
 
  private:
   const PlanPrediction& predicted(int steps, int readings);
+  /// Tells the progress of the next number of steps of a question.
+  /// @param predictions  usual number of predictions of the question
+  void begin_steps(std::size_t tried, int predictions);
   ProtocolConfig protocol(int steps, int readings) const;
   PlanDuration duration(int steps, int readings) const;
   /// The least number of readings with which this number of angles reaches the wanted uncertainties; absent:
@@ -51,7 +59,8 @@ class PlanSearch {
   std::optional<int> most_readings(int steps, double duration_s) const;
 
   PlanningBench bench_;
-  std::function<void(std::size_t)> progress_;
+  std::function<void(double)> progress_;
+  double part_ = 0.0, part_of_prediction_ = 0.0, end_of_steps_ = 0.0;
   std::map<std::pair<int, int>, PlanPrediction> predicted_;
 };
 

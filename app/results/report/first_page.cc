@@ -78,30 +78,49 @@ void add_mounting(const ReportData& data, Section& section) {
                       "orientation."}));
 }
 
-}  // namespace
-
-Section first_page(const ReportData& data) {
-  const CalibrationResult& result = data.result();
-  Section section{"Result", {}};
+/// The verdict, and the values of a result that has some.
+void add_result(const CalibrationResult& result, Section& section) {
   std::string verdict = verdict_words(result.verdict);
   verdict.front() = static_cast<char>(std::toupper(static_cast<unsigned char>(verdict.front())));
   section.blocks.push_back(
       Paragraph{fmt::format("{} ({} estimator): {}.", verdict, result.estimator, result.why)});
   if (result.verdict == Verdict::kNotUsable) {
     section.blocks.push_back(Paragraph{"No numbers are given, because the result is not usable."});
+    return;
+  }
+  if (result.sensitivity_matrix) section.blocks.push_back(matrix_table(result));
+  section.blocks.push_back(intrinsic_table(result));
+}
+
+}  // namespace
+
+Section result_section(const CalibrationResult& result, std::optional<double> nominal, bool with_figure) {
+  Section section;
+  add_result(result, section);
+  if (result.verdict == Verdict::kNotUsable) return section;
+  section.blocks.push_back(Paragraph{"U: expanded uncertainty, for a coverage probability of 95.45 %."});
+  if (with_figure) section.blocks.push_back(deviation_figure(result, nominal));
+  return section;
+}
+
+Section first_page(const ReportData& data) {
+  const CalibrationResult& result = data.result();
+  Section section{"Result", {}};
+  add_result(result, section);
+  if (result.verdict == Verdict::kNotUsable) {
     if (std::vector<std::string> notes = further_notes(result, data.record.tolerances); !notes.empty())
       section.blocks.push_back(BulletList{std::move(notes)});
     add_mounting(data, section);
     return section;
   }
-  if (result.sensitivity_matrix) section.blocks.push_back(matrix_table(result));
-  section.blocks.push_back(intrinsic_table(result));
   section.blocks.push_back(
       Paragraph{"U: expanded uncertainty, for a coverage probability of 95.45 %. The section Values and "
                 "uncertainties has k, and the glossary (docs/glossary.md) the terms."});
   if (result.sensitivity_matrix) section.blocks.push_back(Paragraph{equation_words(data)});
   add_mounting(data, section);
-  section.blocks.push_back(deviation_figure(data.record, result));
+  section.blocks.push_back(deviation_figure(
+      result,
+      nominal_response(data.record.expected, data.record.response_unit, data.record.g_loc.value_mps2)));
   return section;
 }
 

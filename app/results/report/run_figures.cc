@@ -262,8 +262,7 @@ std::string panel_script(const DeviationPanel& panel, int number) {
 
 }  // namespace
 
-Figure deviation_figure(const RunRecord& record, const CalibrationResult& result) {
-  const auto nominal = nominal_response(record.expected, record.response_unit, record.g_loc.value_mps2);
+Figure deviation_figure(const CalibrationResult& result, std::optional<double> nominal) {
   DeviationPanel s{nominal ? "s from nominal" : "s from their mean", "%", {"u", "v", "w"}},
       phi{"angles from 90°", "°", {"uv", "vw", "wu"}},
       offset{"offsets O", result.response_unit, {"u", "v", "w"}};

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <optional>
+
 #include "app/ground/document/document.h"
 #include "app/results/estimates/report_data.h"
 
@@ -15,7 +17,8 @@ Figure harmonics_figure(const CalibrationResult& result);
 Figure step_error_figure(const RunRecord& record, const JointResult& joint);
 
 /// How far a result is from an ideal accelerometer, with bars of the expanded uncertainty: s_j from the
-/// nominal sensitivity (where that is not known, from their mean), phi from 90 degrees, O from zero.
-Figure deviation_figure(const RunRecord& record, const CalibrationResult& result);
+/// nominal sensitivity, phi from 90 degrees, O from zero.
+/// @param nominal  response to one g_loc, R; nothing: s_j are compared with their mean
+Figure deviation_figure(const CalibrationResult& result, std::optional<double> nominal);
 
 }  // namespace abcal

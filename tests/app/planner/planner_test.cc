@@ -8,6 +8,7 @@
 #include <random>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "app/results/estimates/analyses.h"
 #include "app/results/planner/known_bench.h"
@@ -297,6 +298,23 @@ TEST(PlanSearchTest, WhatCannotBeReachedIsSaidWithTheEffectThatForbidsIt) {
   ASSERT_EQ(found.out_of_reach.size(), 1U);
   EXPECT_THAT(found.out_of_reach[0],
               AllOf(HasSubstr("off: 1e-07 is wanted"), HasSubstr("% of its variance is ")));
+}
+
+TEST(PlanSearchTest, TheProgressOfAQuestionGrowsToItsEnd) {
+  std::vector<double> parts;
+  PlanSearch search(bench(), [&](double part) { parts.push_back(part); });
+  ASSERT_TRUE(search.shortest(published_wanted()).plan);
+  const std::size_t predictions = parts.size();
+  EXPECT_TRUE(std::is_sorted(parts.begin(), parts.end()));
+  EXPECT_GT(parts.front(), 0.0);
+  EXPECT_LE(parts.back(), 1.0);
+  // The usual number of predictions is of this order, so that the time left is.
+  EXPECT_GT(predictions, PlanSearch::kPredictionsOfShortest / 4);
+  EXPECT_LT(predictions, PlanSearch::kPredictionsOfShortest * 2);
+  parts.clear();
+  ASSERT_TRUE(search.best_within(600.0, published_wanted()));
+  EXPECT_TRUE(std::is_sorted(parts.begin(), parts.end()));
+  EXPECT_NEAR(parts.back(), 1.0, 1e-12);
 }
 
 TEST(PlanSearchTest, NothingFitsIntoASecond) {

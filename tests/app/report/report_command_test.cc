@@ -23,6 +23,7 @@
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/h5py_check.h"
+#include "tests/support/typed_program.h"
 
 namespace abcal {
 namespace {
@@ -373,6 +374,15 @@ TEST_F(ReportTest, ThePageLoadsNothingAndANameWithMarkupIsAName) {
     ++pictures;
   // Deviation from an ideal accelerometer, mounting, and five figures of the run.
   EXPECT_EQ(pictures, 7U);
+}
+
+TEST_F(ReportTest, APdfShowsAtATerminalHowMuchTimeIsLeft) {
+  if (!is_installed(kWeasyPrint)) GTEST_SKIP() << "weasyprint is not installed";
+  ASSERT_EQ(run().exit_code, 0);
+  const test::Typed typed = test::type_at_terminal({"report", "a.run", "--pdf", "a.pdf"}, folder.path(),
+                                                   [](const std::string&) { return std::nullopt; });
+  EXPECT_EQ(typed.exit_code, 0);
+  EXPECT_THAT(typed.shown, testing::ContainsRegex("Printing \\[[#.]+\\] +[0-9]+ %  [0-9]+ s left"));
 }
 
 TEST_F(ReportTest, ThePdfNamesTheRunAndThePageOnEveryPageAndHoldsTheAttachment) {

@@ -37,6 +37,12 @@ struct CompleteRun {
   std::vector<Result> all_results;
 };
 
+/// The bench file of `abcal demo` as text, with the emulated instruments inside this program: a run on it
+/// waits for nothing and takes less than a second.
+/// @param steps  angles of each experiment, a divisor of 360
+/// @throws std::invalid_argument
+std::string demo_bench(int steps = 30);
+
 /// A run was stopped; the stage was halted and the run file can be resumed.
 class Stopped : public std::exception {
  public:

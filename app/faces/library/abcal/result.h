@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,18 @@ struct EffectFound {
   double times_stated = 0.0;  ///< Root mean square of its unknowns over their stated standard uncertainty.
   double probability = 1.0;   ///< Probability of a departure this large if the statement is right.
   bool agrees = true;
+};
+
+/// The result of the estimator "abc" by the formula of the paper (Geist & Gaitan 2021, Eqs. 5 to 10), not
+/// corrected for k2 and k3: what another laboratory's ABC result is compared with. Type B covers alignment,
+/// turns, zeros and step errors of the stage, as in the paper, and no other effect.
+struct Published {
+  Values sensitivity_matrix;  ///< Shapes and units as in Result.
+  Values offset;
+  Values intrinsic_sensitivity;
+  Values intrinsic_angle;
+  Covariance covariance;
+  Covariance covariance_intrinsic;
 };
 
 /// The result of one estimator on one record. Cheap to copy, never changed.
@@ -48,10 +61,16 @@ class Result {
   /// The joint estimator's alignment Zx, Zy, Xz (1); empty for the others.
   Values alignment() const;
 
+  /// The published result; nothing for estimators other than "abc".
+  const std::optional<Published>& published() const;
+
   /// JSON text equal to that of `abcal analyse --json`, schema abcal.result/1.
   std::string to_json() const;
   /// For people, as `abcal analyse` prints it, without colours.
   std::string to_text() const;
+  /// For notebooks and pages: one HTML element with verdict, values with their expanded uncertainties and, if
+  /// gnuplot is installed, a figure (SVG).
+  std::string to_html() const;
 
   struct Data;
   explicit Result(std::shared_ptr<const Data> data) : data_(std::move(data)) {}

@@ -10,6 +10,9 @@ file or a measurement a RuntimeError (InstrumentError, Stopped), each with what 
 """
 
 import asyncio as _asyncio
+import os as _os
+import pathlib as _pathlib
+import tempfile as _tempfile
 import threading as _threading
 
 from ._abcal import (  # noqa: F401
@@ -24,6 +27,7 @@ from ._abcal import (  # noqa: F401
     MonteCarloStudy,
     PlanAnswer,
     PredictedPlan,
+    Published,
     Record,
     Result,
     SimulatedRecord,
@@ -35,6 +39,7 @@ from ._abcal import (  # noqa: F401
     analyse,
     certificate_xml,
     compare,
+    demo_bench,
     estimators,
     load,
     load_poses,
@@ -47,6 +52,22 @@ from ._abcal import (  # noqa: F401
     specific_force,
     stage_drivers,
 )
+
+
+def demo(steps=30):
+    """Calibrates the emulated instruments of `abcal demo` inside this process, and returns the Result.
+
+    It takes less than a second, needs no files and leaves none. steps: angles of each experiment, a divisor of 360.
+    """
+    if _os.environ.get("ABCAL_REGISTER"):
+        raise ValueError(
+            "the demo measures without a person of the register that ABCAL_REGISTER names; "
+            "required: that the variable is not set"
+        )
+    with _tempfile.TemporaryDirectory(prefix="abcal-demo-") as folder:
+        bench = _pathlib.Path(folder) / "bench.toml"
+        bench.write_text(demo_bench(steps), encoding="utf-8")
+        return Bench(bench).run(bench.with_name("demo.run")).result
 
 
 def _uncertain(self):
