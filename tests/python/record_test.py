@@ -1,6 +1,9 @@
 """Records: arrays in and out, and everything that can be wrong with arrays."""
 
 import pathlib
+import shutil
+import subprocess
+import sys
 import tempfile
 import unittest
 
@@ -8,6 +11,21 @@ import numpy as np
 
 import abcal
 from support import circles, simulated, write_csv
+
+
+class Package(unittest.TestCase):
+    def test_without_its_compiled_module_the_package_says_what_to_build(self):
+        with tempfile.TemporaryDirectory() as folder:
+            package = pathlib.Path(folder) / "abcal"
+            package.mkdir()
+            shutil.copy(abcal.__file__, package)
+            call = subprocess.run(
+                [sys.executable, "-c", "import abcal"], env={"PYTHONPATH": folder}, capture_output=True, text=True
+            )
+            self.assertNotEqual(call.returncode, 0)
+            version = f"{sys.version_info.major}.{sys.version_info.minor}"
+            found = f"ImportError: abcal: {package} holds no compiled module _abcal for Python {version}. "
+            self.assertIn(found + "Build it with `scripts/build release abcal_python`", call.stderr)
 
 
 class Arrays(unittest.TestCase):

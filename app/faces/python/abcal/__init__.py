@@ -10,10 +10,19 @@ file or a measurement a RuntimeError (InstrumentError, Stopped), each with what 
 """
 
 import asyncio as _asyncio
+import importlib.util as _importlib_util
 import os as _os
 import pathlib as _pathlib
+import sys as _sys
 import tempfile as _tempfile
 import threading as _threading
+
+if _importlib_util.find_spec("._abcal", __name__) is None:
+    raise ImportError(
+        f"abcal: {__path__[0]} holds no compiled module _abcal for Python {_sys.version_info.major}.{_sys.version_info.minor}. "
+        "Build it with `scripts/build release abcal_python` and use Debian's Python (/usr/bin/python3), "
+        "or install the package python3-abcal."
+    )
 
 from ._abcal import (  # noqa: F401
     Bench,
