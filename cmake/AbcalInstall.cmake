@@ -45,6 +45,11 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples/cpp DESTINATION ${CMAKE_IN
 # place as well.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT doc
   PATTERN "examples/cpp" EXCLUDE PATTERN ".*" EXCLUDE)
+# The same pages with a search, which scripts/docs builds before scripts/package comes here.
+set(ABCAL_SITE "" CACHE PATH "Folder of the built site of the pages; empty: the package has none")
+if(ABCAL_SITE)
+  install(DIRECTORY ${ABCAL_SITE}/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/site COMPONENT doc)
+endif()
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
 # The services name the programs by their paths, which only the installation knows (cmake --install --prefix).
 install(CODE "

@@ -188,6 +188,28 @@ TEST_F(DocsTest, ListsPagesFindsThemByTheirNameAndCorrectsASlip) {
   EXPECT_EQ(abcal({"docs", "../README"}).exit_code, 2);
 }
 
+TEST_F(DocsTest, NamesTheBuiltSiteOfAnInstallationAndListsOnlyItsPages) {
+  const std::filesystem::path pages = folder / "share/doc/abcal";
+  std::filesystem::create_directories(folder / "bin");
+  std::filesystem::create_directories(pages / "site/_downloads");
+  std::filesystem::copy_file(test::abcal_program(), folder / "bin/abcal");
+  test::write_file(pages / "bench_file.md", "# The bench file\n");
+  test::write_file(pages / "site/_downloads/real.toml", "");
+  const auto docs = [&](std::vector<std::string> arguments) {
+    arguments.insert(arguments.begin(), "docs");
+    test::Program program((folder / "bin/abcal").string(), arguments, folder.path());
+    const int code = program.wait();
+    return ProgramResult{code, program.out(), program.err()};
+  };
+  EXPECT_THAT(docs({}).out, AllOf(HasSubstr("The bench file"), Not(HasSubstr("With a search"))));
+  test::write_file(pages / "site/index.html", "<h1>abcal</h1>");
+  const ProgramResult listed = docs({});
+  EXPECT_EQ(listed.exit_code, 0) << listed.err;
+  EXPECT_THAT(listed.out, HasSubstr("With a search, in a browser: file://" +
+                                    std::filesystem::canonical(pages).string() + "/site/index.html\n"));
+  EXPECT_EQ(docs({"site/_downloads/real.toml"}).exit_code, 2);
+}
+
 /// A program at a terminal, and a person who answers its prompts.
 class TypedTest : public ProgramTest {
  protected:

@@ -13,6 +13,7 @@ namespace abcal::test {
 namespace {
 
 constexpr std::string_view kGap = "...";
+constexpr std::string_view kPrompt = "$ ";
 
 std::vector<std::string> lines_of(const std::string& text) {
   std::vector<std::string> lines;
@@ -170,14 +171,24 @@ std::vector<PageStep> steps_of_page(const std::string& page) {
   const std::vector<std::string> lines = lines_of(page);
   for (std::size_t i = 0; i < lines.size(); ++i) {
     if (lines[i] == "## Your own instruments" || lines[i] == "## Where to go from here") break;
-    if (lines[i] != "```") {
+    if (lines[i].starts_with("<!--")) continue;
+    if (lines[i] != "```" && lines[i] != "```text") {
       prose += lines[i] + "\n";
       if (!steps.empty() && !lines[i].starts_with('#')) steps.back().prose_after += lines[i] + "\n";
       continue;
     }
     std::vector<std::string> block;
     while (++i < lines.size() && lines[i] != "```") block.push_back(lines[i]);
-    if (std::all_of(block.begin(), block.end(), is_command)) {
+    if (!block.empty() && block.front().starts_with(kPrompt)) {
+      steps.push_back({std::move(prose), {}, {}, {}});
+      for (const std::string& line : block) {
+        if (line.starts_with(kPrompt)) {
+          steps.back().commands.push_back(line.substr(kPrompt.size()));
+        } else {
+          steps.back().output += line + "\n";
+        }
+      }
+    } else if (std::all_of(block.begin(), block.end(), is_command)) {
       steps.push_back({std::move(prose), std::move(block), {}, {}});
     } else if (!steps.empty()) {
       for (const std::string& line : block) steps.back().output += line + "\n";

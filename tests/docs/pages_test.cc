@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdint>
 #include <filesystem>
 #include <regex>
 #include <set>
@@ -12,6 +13,8 @@
 #include <string>
 #include <vector>
 
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/record/run_record.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -126,6 +129,119 @@ TEST(PagesTest, TroubleshootingListsWhatTheProgramSays) {
     }
   }
   EXPECT_GT(parts, 40);
+}
+
+/// The rows of a page below one heading, up to the next heading of any level: cells without their marks of
+/// code.
+std::vector<std::vector<std::string>> rows_below(const std::string& heading,
+                                                 const std::filesystem::path& page) {
+  std::vector<std::vector<std::string>> rows;
+  bool below = false;
+  for (const std::string& line : prose(page)) {
+    if (line.starts_with('#')) below = line == heading;
+    if (!below || !line.starts_with("| ")) continue;
+    std::vector<std::string> cells;
+    for (std::size_t at = 2, bar = 0; (bar = line.find(" |", at)) != std::string::npos; at = bar + 3)
+      cells.push_back(line.substr(at, bar - at));
+    rows.push_back(std::move(cells));
+  }
+  return rows;
+}
+
+/// The first cells of a table, which quote the program, as a set of their quotations.
+std::set<std::string> quotations_below(const std::string& heading) {
+  std::set<std::string> quoted;
+  const std::regex code("`([^`]*)`");
+  for (const std::vector<std::string>& cells : rows_below(heading, kRoot / "docs/troubleshooting.md")) {
+    EXPECT_EQ(cells.size(), 3U) << heading << ": " << cells.front();
+    for (const std::string& cell : cells) EXPECT_FALSE(cell.empty()) << heading << ": " << cells.front();
+    for (std::sregex_iterator match(cells.front().begin(), cells.front().end(), code), end; match != end;
+         ++match)
+      quoted.insert((*match)[1]);
+  }
+  return quoted;
+}
+
+TEST(PagesTest, EveryVerdictAndFlagHasItsCauseAndRemedy) {
+  const std::set<std::string> verdicts = quotations_below("## The verdict");
+  for (const Verdict verdict : {Verdict::kUsable, Verdict::kDoubtful, Verdict::kNotUsable}) {
+    std::string word(to_string(verdict));
+    std::ranges::replace(word, '_', ' ');
+    EXPECT_TRUE(verdicts.contains(word)) << word;
+  }
+  const std::set<std::string> flags = quotations_below("## Flags of angles");
+  std::size_t known = 0;
+  for (std::uint32_t flag = 1; flag != 0; flag *= 2) {
+    const std::string words = describe_flags(flag);
+    if (words.empty()) continue;
+    ++known;
+    EXPECT_TRUE(flags.contains(words)) << "docs/troubleshooting.md has no flag `" << words << '`';
+  }
+  EXPECT_EQ(flags.size(), known) << "and no other";
+}
+
+/// The names that meaning_of_check() knows.
+TEST(PagesTest, EveryCheckHasItsCauseAndRemedy) {
+  std::string text = test::read_file(kRoot / "protocol/estimators/checks/check_meanings.cc");
+  text.erase(text.find("meaning_of_flag"));
+  const std::set<std::string> checks = quotations_below("## Checks of a run");
+  const std::regex entry(R"re(\{"([^"]+)",\s*"[^"]*"\})re");
+  std::size_t known = 0;
+  for (std::sregex_iterator match(text.begin(), text.end(), entry), end; match != end; ++match, ++known)
+    EXPECT_TRUE(checks.contains((*match)[1]))
+        << "docs/troubleshooting.md has no check `" << (*match)[1] << '`';
+  EXPECT_GE(known, 18U);
+}
+
+/// Each message with which an estimator doubts or refuses a result: its text, without what varies.
+std::vector<std::string> reasons_of_estimators() {
+  std::vector<std::string> reasons;
+  const std::regex raised(R"re((objections\.add|contradictions\.push_back|UnusableData)\(([\s\S]*?)\);)re");
+  const std::regex text(R"re("([^"]*)")re");
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(kRoot / "protocol/estimators")) {
+    if (entry.path().extension() != ".cc") continue;
+    const std::string source = test::read_file(entry.path());
+    for (std::sregex_iterator match(source.begin(), source.end(), raised), end; match != end; ++match) {
+      const std::string call = (*match)[2];
+      std::string words;
+      for (std::sregex_iterator part(call.begin(), call.end(), text), none; part != none; ++part)
+        words += (*part)[1];
+      if (words.size() > 20) reasons.push_back(words);
+    }
+  }
+  return reasons;
+}
+
+TEST(PagesTest, EveryReasonOfADoubtfulOrUnusableResultHasItsCauseAndRemedy) {
+  std::vector<std::string> parts;
+  for (const char* heading : {"### Why is my calibration doubtful?", "### Why is my calibration not usable?",
+                              "## Checks of a run"}) {
+    for (const std::string& quoted : quotations_below(heading)) {
+      std::string longest;  // between the parts that vary
+      for (std::size_t at = 0; at < quoted.size();) {
+        const std::size_t varies = std::min(quoted.find("...", at), quoted.size());
+        if (varies - at > longest.size()) longest = quoted.substr(at, varies - at);
+        at = varies + 3;
+      }
+      if (longest.size() > 7) parts.push_back(longest);
+    }
+  }
+  const std::vector<std::string> reasons = reasons_of_estimators();
+  EXPECT_GE(reasons.size(), 20U);
+  for (const std::string& reason : reasons) {
+    EXPECT_TRUE(std::ranges::any_of(
+        parts, [&](const std::string& part) { return reason.find(part) != std::string::npos; }))
+        << "docs/troubleshooting.md has no row for \"" << reason << '"';
+  }
+}
+
+TEST(PagesTest, TheFrontPageLeadsToEachPage) {
+  const std::string front = test::read_file(kRoot / "docs/index.md");
+  for (const auto& entry : std::filesystem::directory_iterator(kRoot / "docs")) {
+    const std::string name = entry.path().filename().string();
+    if (entry.path().extension() != ".md" || name == "index.md") continue;
+    EXPECT_THAT(front, HasSubstr("](" + name)) << "docs/index.md does not name " << name;
+  }
 }
 
 /// The words in bold are the titles of sections, in their order; the paragraphs behind the list have others.

@@ -13,6 +13,8 @@ cd "$(mktemp -d)"
 abcal --version
 abcal run /usr/share/doc/abcal/examples/simulated.toml -o first.run >run.log 2>&1 || { tail -n 20 run.log >&2; exit 1; }
 abcal verify first.run >/dev/null
+abcal docs | grep -q 'file:///usr/share/doc/abcal/site/index.html' || { echo "abcal docs names no site" >&2; exit 1; }
+test -s /usr/share/doc/abcal/site/search_index.js
 python3 -c 'import abcal'
 python3 - first.run <<'PYTHON'
 import sys

@@ -21,8 +21,8 @@
 #include "app/faces/console/steered_run.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/document/document_html.h"
+#include "app/ground/system/browser.h"
 #include "app/ground/system/descriptor.h"
-#include "app/ground/system/detached_process.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
@@ -129,25 +129,6 @@ class MessagesAtTerminal {
   TerminalListener terminal_{{.title = "Calibrating", .introduce = false}};
 };
 
-bool has_desktop() {
-  const auto has = [](const char* name) {
-    const char* value = std::getenv(name);
-    return value != nullptr && *value != '\0';
-  };
-  return has("DISPLAY") || has("WAYLAND_DISPLAY");
-}
-
-/// A browser that cannot be opened is no failure: the address is printed.
-void open_browser(const std::string& address) {
-  const Tool opener{"xdg-open", "the demo opens its page with", "xdg-utils"};
-  if (!has_desktop() || !is_installed(opener)) return;
-  try {
-    (void)start_detached(opener, {address});
-  } catch (const std::runtime_error& error) {
-    print_warning(error.what());
-  }
-}
-
 /// The files that a demo has made.
 struct DemoFiles {
   std::filesystem::path folder, bench_file, run, report;
@@ -242,7 +223,8 @@ int demo(const DemoCommand& command) {
   console::Server server(options, bench);
   files.console = fmt::format("http://127.0.0.1:{}/", server.port());
   print_log("Console: {} shows the run in a browser\n", files.console);
-  if (!command.no_browser && !command.json) open_browser(files.console);
+  if (!command.no_browser && !command.json)
+    (void)open_in_browser(files.console, "the demo opens its page with");
   const console::RunEnd end = measure(steered, stop);
   if (!end.complete) {
     print_error("the run of the demo ended early: " + end.why);

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "app/faces/commands/commands.h"
+#include "app/ground/system/browser.h"
 #include "app/ground/system/child_process.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/helper_program.h"
@@ -42,8 +43,9 @@ std::vector<std::string> page_names(const std::filesystem::path& folder) {
   std::vector<std::string> names;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
     const std::string extension = entry.path().extension().string();
-    if (entry.is_regular_file() && (extension == ".md" || extension == ".toml"))
-      names.push_back(std::filesystem::relative(entry.path(), folder).string());
+    if (!entry.is_regular_file() || (extension != ".md" && extension != ".toml")) continue;
+    std::string name = std::filesystem::relative(entry.path(), folder).string();
+    if (!name.starts_with("site/")) names.push_back(std::move(name));
   }
   std::ranges::sort(names);
   return names;
@@ -75,12 +77,23 @@ std::string title_of(const std::filesystem::path& page) {
   return {};
 }
 
+/// The built site with its search, which the package abcal-doc holds; empty if there is none.
+std::string site_address(const std::filesystem::path& folder) {
+  std::error_code missing;
+  const std::filesystem::path front = std::filesystem::canonical(folder / "site/index.html", missing);
+  return missing ? std::string() : "file://" + front.string();
+}
+
 void list_pages(const std::filesystem::path& folder, const std::vector<std::string>& names) {
   for (const std::string& name : names) {
     if (name.find('/') != std::string::npos) continue;
     print_result("{:<24} {}\n", name.substr(0, name.rfind('.')), title_of(folder / name));
   }
   print_result("\n`abcal docs PAGE` shows a page. All of them, with examples: {}\n", folder.string());
+  const std::string site = site_address(folder);
+  if (site.empty()) return;
+  print_result("With a search, in a browser: {}\n", site);
+  if (is_terminal(stdout)) (void)open_in_browser(site, "the pages are opened with");
 }
 
 /// Replaces this program by the pager. @throws std::runtime_error
@@ -105,7 +118,9 @@ void show_page(const std::filesystem::path& page) {
 CLI::App* add_docs(CLI::App& parent, int& exit_code) {
   auto page = std::make_shared<std::string>();
   CLI::App* command = parent.add_subcommand("docs", "Show a page of the documentation, as messages name it");
-  command->add_option("PAGE", *page, "page: effects, docs/effects.md (default: list all pages)");
+  command->add_option("PAGE", *page,
+                      "page: effects, docs/effects.md (default: list all pages, and open them in a browser "
+                      "if they are installed with a search)");
   command->callback([page, &exit_code] {
     const std::filesystem::path folder = docs_folder();
     const std::vector<std::string> names = page_names(folder);
