@@ -140,6 +140,9 @@ struct StageTruth {
   double xz = 0.0;            ///< Vertical component of the X axis.
   double zx_per_degc = 0.0;   ///< Change of zx with the temperature on the platter, from temperature_degc on.
   AxisTruth x, z;
+  /// The axes also stand at 90 and at 180 degrees (protocol of two faces): there AxisTruth::step_error_sd is
+  /// drawn once for the pose of the axis, wherever the other axis is.
+  bool stands_in_second_face = false;
   double span_s = 3600.0;  ///< Time of the effects that are said to act "over the span", from the start on.
   /// Tilt of the base about x and y of the LGCS over the span, linear in time, zero at its middle.
   double floor_tilt_x_urad = 0.0, floor_tilt_y_urad = 0.0;

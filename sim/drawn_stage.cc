@@ -13,6 +13,8 @@ namespace {
 
 constexpr std::int64_t kMicroDegreesPerTurn = 360'000'000;
 constexpr std::uint64_t kPoseZero = 0;
+constexpr std::uint64_t kPose90 = 90'000'000;
+constexpr std::uint64_t kPose180 = 180'000'000;
 constexpr std::uint64_t kPoseMinus90 = 270'000'000;
 constexpr double kRadPerUrad = 1e-6;
 constexpr int kDrawnErrorOrders = 6;   // docs/effects.md, smooth step errors
@@ -122,10 +124,11 @@ Angle DrawnStage::error(StageAxis axis, Angle commanded, Angle other_commanded) 
     error += harmonic.sin_coefficient.deg() * std::sin(phase) +
              harmonic.cos_coefficient.deg() * (std::cos(phase) - 1.0);
   }
+  const bool may_stand = truth_.stands_in_second_face && (pose == kPose90 || pose == kPose180);
+  const std::uint64_t other = may_stand ? kPoseZero : canonical_pose(other_commanded);
   if (a.step_error_sd.deg() > 0.0)
-    error +=
-        a.step_error_sd.deg() * normal_numbers(truth_.seed, NoiseStream::kStepError,
-                                               {pose, canonical_pose(other_commanded), index(axis), 0})[0];
+    error += a.step_error_sd.deg() *
+             normal_numbers(truth_.seed, NoiseStream::kStepError, {pose, other, index(axis), 0})[0];
   return Angle::degrees(error);
 }
 

@@ -22,14 +22,16 @@ StageShare whole_input(const StagePose& pose, int /*i*/) {
 bool always(const StagePose& /*pose*/) {
   return true;
 }
-bool in_experiment_2(const StagePose& pose) {
-  return pose.experiment == 2;
+template <int experiment, int face>
+bool in_circle(const StagePose& pose) {
+  return pose.experiment == experiment && pose.face == face;
 }
-bool in_experiment_3(const StagePose& pose) {
-  return pose.experiment == 3;
-}
-bool x_moves(const StagePose& pose) {
-  return pose.about_x();
+/// Whether an axis has the errors of its map: wherever it moves, and where it stands in face 2. At 0 degrees
+/// it has its zero, and the initial turns of -90 degrees have errors of their own, as in the published
+/// protocol.
+template <bool of_x>
+bool has_its_map(const StagePose& pose) {
+  return pose.about_x() == of_x || pose.face == 2;
 }
 
 double alignment_prior(const EffectSizes& sizes) {
@@ -48,12 +50,12 @@ double wobble_prior(const EffectSizes& sizes) {
   return sizes.wobble_urad * 1e-6;
 }
 
-/// D_m sin(m a), E_m (cos(m a) - 1), m = 1 .. 6, of the axis that moves.
+/// D_m sin(m a), E_m (cos(m a) - 1), m = 1 .. 6, of an axis that has the errors of its map.
 template <bool of_x>
 StageShare smooth_share(const StagePose& pose, int i) {
   const auto m = static_cast<std::size_t>(i / 2 + 1);
-  if (pose.about_x() != of_x) return {};
-  const AngleHarmonics& a = pose.moving();
+  if (!has_its_map<of_x>(pose)) return {};
+  const AngleHarmonics& a = of_x ? pose.x : pose.z;
   return {of_x ? kInputAngleX : kInputAngleZ, i % 2 == 0 ? a.sin[m] : a.cos[m] - 1.0, 0, 0.0};
 }
 std::string smooth_name(int i) {
@@ -81,12 +83,19 @@ constexpr std::array kStageEffects{
     StageEffect{"Zx", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZx, always>, no_name},
     StageEffect{"Zy", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZy, always>, no_name},
     StageEffect{"Xz", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputXz, always>, no_name},
-    StageEffect{"d2", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleZ, in_experiment_2>,
+    StageEffect{"d2", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleZ, in_circle<2, 1>>,
                 no_name},
-    StageEffect{"d3", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleX, in_experiment_3>,
+    StageEffect{"d3", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleX, in_circle<3, 1>>,
                 no_name},
-    StageEffect{"F_X", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleX, x_moves>, no_name},
-    StageEffect{"F_Z", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleZ, in_experiment_3>,
+    StageEffect{"d1, face 2", "initial_turn_deg", 1, "radian", turn_prior,
+                whole_input<kInputAngleZ, in_circle<1, 2>>, no_name, 2},
+    StageEffect{"d2, face 2", "initial_turn_deg", 1, "radian", turn_prior,
+                whole_input<kInputAngleZ, in_circle<2, 2>>, no_name, 2},
+    StageEffect{"d3, face 2", "initial_turn_deg", 1, "radian", turn_prior,
+                whole_input<kInputAngleX, in_circle<3, 2>>, no_name, 2},
+    StageEffect{"F_X", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleX, has_its_map<true>>,
+                no_name},
+    StageEffect{"F_Z", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleZ, has_its_map<false>>,
                 no_name},
     StageEffect{"smooth step errors of X", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
                 smooth_share<true>, smooth_name},

@@ -36,6 +36,7 @@ struct StageEffect {
   /// Effect of unknown i at a pose.
   StageShare (*share)(const StagePose&, int i) = nullptr;
   std::string (*unknown_name)(int i) = nullptr;
+  int face = 1;  ///< 2: only a run of two faces has this effect.
 };
 
 /// The item at one pose. Responses are relative: y = s.g / S_j.

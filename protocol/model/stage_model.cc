@@ -49,12 +49,13 @@ AngleHarmonics AngleHarmonics::of(double sin_a, double cos_a) {
   return out;
 }
 
-StagePose StagePose::of(int experiment, double sin_alpha, double cos_alpha) {
+StagePose StagePose::of(int experiment, int face, double sin_alpha, double cos_alpha) {
   const AngleHarmonics moving = AngleHarmonics::of(sin_alpha, cos_alpha);
-  const AngleHarmonics back = AngleHarmonics::of(-1.0, 0.0);  // -90 degrees
-  if (experiment == 1) return {1, moving, AngleHarmonics::of(0.0, 1.0)};
-  if (experiment == 2) return {2, moving, back};
-  return {3, back, moving};
+  const double side = face == 2 ? -1.0 : 1.0;
+  if (experiment == 1) return {1, face, moving, AngleHarmonics::of(0.0, side)};  // 0 or 180 degrees
+  const AngleHarmonics standing = AngleHarmonics::of(-side, 0.0);                // -90 or 90 degrees
+  if (experiment == 2) return {2, face, moving, standing};
+  return {3, face, standing, moving};
 }
 
 namespace {

@@ -36,10 +36,13 @@ struct AngleHarmonics {
 
 /// One commanded pose of the three experiments.
 struct StagePose {
-  int experiment = 1;   ///< 1 and 2: X moves; 3: Z moves.
-  AngleHarmonics x, z;  ///< Commanded angles of the axes; an axis that stands has 0 or -90 degrees.
+  int experiment = 1;  ///< 1 and 2: X moves; 3: Z moves.
+  /// 2: the axis that stands is turned by half a turn more than in face 1 (protocol/plan/faces.h).
+  int face = 1;
+  /// Commanded angles of the axes; an axis that stands has 0 or -90 degrees, in face 2 180 or 90 degrees.
+  AngleHarmonics x, z;
 
-  static StagePose of(int experiment, double sin_alpha, double cos_alpha);
+  static StagePose of(int experiment, int face, double sin_alpha, double cos_alpha);
   bool about_x() const { return experiment != 3; }
   const AngleHarmonics& moving() const { return about_x() ? x : z; }
 };

@@ -9,16 +9,22 @@
 #include <string>
 #include <utility>
 
+#include "protocol/plan/faces.h"
+
 namespace abcal {
 namespace {
 
 constexpr Angle kTurn = Angle::degrees(360.0);
-constexpr Angle kInitialTurn = Angle::degrees(-90.0);  // paper, section 2.4
 constexpr std::size_t kX = 0;
 constexpr std::size_t kZ = 1;
 
 std::string number(double value) {
   return fmt::format("{:.8g}", value);
+}
+
+/// Words for a problem that the published protocol does not have.
+std::string in_face(int face) {
+  return face == 2 ? ", for face 2 (or [protocol] faces = 1)" : "";
 }
 
 std::string describe(const AxisTravel& travel) {
@@ -54,9 +60,16 @@ struct SweepAngle {
   Angle commanded;
 };
 
-/// The angles of one experiment by rising commanded angle, as near to alpha itself as the travel allows.
-std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& travel, const std::string& axis,
+/// The axis that turns, with its travel.
+struct TurningAxis {
+  std::string name;
+  AxisTravel travel;
+};
+
+/// The angles of one circle by rising commanded angle, as near to alpha itself as the travel allows.
+std::vector<SweepAngle> sweep(const ProtocolConfig& config, int face, const TurningAxis& axis,
                               std::vector<Problem>& problems) {
+  const AxisTravel& travel = axis.travel;
   const Angle lowest_possible = travel.min + config.approach;
   const Angle last = config.step * (config.steps - 1);
   const bool fits_as_is = Angle{} >= lowest_possible && last <= travel.max && last < kTurn;
@@ -64,6 +77,7 @@ std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& tr
   std::vector<SweepAngle> angles;
   std::string unreachable;
   for (int n = 1; n <= config.steps; ++n) {
+    if (face_of(n, config.faces) != face) continue;
     const Angle alpha = config.step * (n - 1);
     if (const auto commanded = representation(alpha, lowest, travel.max)) {
       angles.push_back({n, alpha, *commanded});
@@ -72,9 +86,9 @@ std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& tr
     }
   }
   if (!unreachable.empty()) {
-    problems.push_back({"axis " + axis, "travel " + describe(travel),
+    problems.push_back({"axis " + axis.name, "travel " + describe(travel),
                         "a travel that reaches alpha = " + unreachable + " deg, coming from " +
-                            number(config.approach.deg()) + " deg below (approach_deg)"});
+                            number(config.approach.deg()) + " deg below (approach_deg)" + in_face(face)});
   }
   std::stable_sort(angles.begin(), angles.end(),
                    [](const SweepAngle& a, const SweepAngle& b) { return a.commanded < b.commanded; });
@@ -122,6 +136,78 @@ std::vector<Part> least_travel(const std::vector<std::vector<Part>>& ways_of_par
   return shortest_to(PlannedAngle{})->parts;
 }
 
+/// One circle: an experiment, or one face of it.
+struct Circle {
+  int experiment;
+  int face;
+  std::vector<SweepAngle> sweep;
+  std::vector<Angle> held_at;  ///< Positions of the axis that does not turn.
+
+  std::size_t turning() const { return experiment == 3 ? kZ : kX; }
+  std::size_t standing() const { return experiment == 3 ? kX : kZ; }
+};
+
+constexpr std::array kAxisNames{"X", "Z"};
+
+/// Positions in which an axis may be held at an angle, or a problem.
+struct Holding {
+  const std::array<AxisTravel, 2>& travel;
+  Angle approach;
+  std::vector<Problem>& problems;
+
+  std::vector<Angle> at(Angle angle, std::size_t axis, int face = 1) const {
+    std::vector<Angle> possible = representations(angle, travel.at(axis), approach);
+    if (possible.empty()) {
+      problems.push_back(
+          {std::string("axis ") + kAxisNames.at(axis), "travel " + describe(travel.at(axis)),
+           "a travel that includes the axis angle " + number(angle.deg()) + " deg" + in_face(face)});
+    }
+    return possible;
+  }
+};
+
+/// The circles in their order.
+std::vector<Circle> circles_of(const ProtocolConfig& config, const Holding& holding) {
+  std::vector<Problem>& problems = holding.problems;
+  if (config.faces == kFaces && config.steps % kFaces != 0) {
+    problems.push_back({"[protocol] steps", std::to_string(config.steps) + " with faces = 2",
+                        "an even number: half of the angles belong to each face"});
+  }
+  std::array<std::array<std::vector<SweepAngle>, 2>, kFaces> sweeps;  // Experiments 1 and 2 share that of X.
+  for (int face = 1; face <= config.faces; ++face) {
+    for (const std::size_t axis : {kX, kZ})
+      sweeps.at(static_cast<std::size_t>(face - 1)).at(axis) =
+          sweep(config, face, {kAxisNames.at(axis), holding.travel.at(axis)}, problems);
+  }
+  std::vector<Circle> circles;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int face = 1; face <= config.faces; ++face) {
+      Circle& circle = circles.emplace_back(Circle{experiment, face, {}, {}});
+      circle.sweep = sweeps.at(static_cast<std::size_t>(face - 1)).at(circle.turning());
+      circle.held_at = holding.at(held_angle(experiment, face), circle.standing(), face);
+    }
+  }
+  return circles;
+}
+
+/// A circle with the axis that does not turn at one of its positions.
+Part measured_at(const Circle& circle, Angle held, const ProtocolConfig& config, const AxisTravel& turning) {
+  Part part;
+  const auto add = [&](int n, bool closing, Angle alpha, Angle commanded) {
+    const bool turns_x = circle.turning() == kX;
+    PlannedAngle& angle = part.emplace_back();
+    angle = {circle.experiment, n, closing, alpha, turns_x ? commanded : held, turns_x ? held : commanded};
+    angle.face = circle.face;
+  };
+  for (const SweepAngle& angle : circle.sweep) add(angle.n, false, angle.alpha, angle.commanded);
+  if (config.closing_angle) {
+    const SweepAngle& first = circle.sweep.front();
+    const Angle full_turn = first.commanded + kTurn;
+    add(first.n, true, first.alpha + kTurn, full_turn <= turning.max ? full_turn : first.commanded);
+  }
+  return part;
+}
+
 /// Both check poses, in either order and with every turn that the travel allows.
 std::vector<Part> ways_of_visit(const std::array<std::vector<Angle>, kCheckPoses>& x,
                                 const std::array<std::vector<Angle>, kCheckPoses>& z) {
@@ -153,6 +239,10 @@ PlanError::PlanError(std::vector<Problem> problems)
       }()),
       problems_(std::move(problems)) {}
 
+bool has_two_faces(const std::vector<PlannedAngle>& plan) {
+  return std::ranges::any_of(plan, [](const PlannedAngle& angle) { return angle.face == 2; });
+}
+
 bool has_experiments(const std::vector<PlannedAngle>& plan) {
   return std::ranges::any_of(plan, [](const PlannedAngle& angle) { return angle.experiment > 0; });
 }
@@ -166,58 +256,27 @@ std::array<CheckPose, kCheckPoses> check_poses() {
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel) {
   std::vector<Problem> problems;
-  const std::vector<SweepAngle> about_x = sweep(config, travel[kX], "X", problems);
-  const std::vector<SweepAngle> about_z = sweep(config, travel[kZ], "Z", problems);
-  const auto hold = [&](Angle angle, std::size_t axis) {
-    std::vector<Angle> possible = representations(angle, travel[axis], config.approach);
-    if (possible.empty()) {
-      problems.push_back({axis == kX ? "axis X" : "axis Z", "travel " + describe(travel[axis]),
-                          "a travel that includes the axis angle " + number(angle.deg()) + " deg"});
-    }
-    return possible;
-  };
-  struct Experiment {
-    int number;
-    const std::vector<SweepAngle>& sweep;
-    bool turns_x;
-    std::vector<Angle> held_at;
-  };
-  const std::array<Experiment, 3> experiments{Experiment{1, about_x, true, hold(Angle{}, kZ)},
-                                              Experiment{2, about_x, true, hold(kInitialTurn, kZ)},
-                                              Experiment{3, about_z, false, hold(kInitialTurn, kX)}};
+  const Holding holding{travel, config.approach, problems};
+  const std::vector<Circle> circles = circles_of(config, holding);
   std::array<std::vector<Angle>, kCheckPoses> check_x, check_z;
   if (config.check_poses) {
     for (std::size_t pose = 0; pose < kCheckPoses; ++pose) {
-      check_x[pose] = hold(check_poses()[pose].x, kX);
-      check_z[pose] = hold(check_poses()[pose].z, kZ);
+      check_x[pose] = holding.at(check_poses()[pose].x, kX);
+      check_z[pose] = holding.at(check_poses()[pose].z, kZ);
     }
   }
   if (!problems.empty()) throw PlanError(std::move(problems));
 
-  const auto measured_at = [&](const Experiment& experiment, Angle held) {
-    Part part;
-    const auto add = [&](int n, bool closing, Angle alpha, Angle commanded) {
-      part.push_back({experiment.number, n, closing, alpha, experiment.turns_x ? commanded : held,
-                      experiment.turns_x ? held : commanded});
-    };
-    for (const SweepAngle& angle : experiment.sweep) add(angle.n, false, angle.alpha, angle.commanded);
-    if (config.closing_angle) {
-      const SweepAngle& first = experiment.sweep.front();
-      const AxisTravel& turning = travel[experiment.turns_x ? kX : kZ];
-      const Angle full_turn = first.commanded + kTurn;
-      add(first.n, true, first.alpha + kTurn, full_turn <= turning.max ? full_turn : first.commanded);
-    }
-    return part;
-  };
   std::vector<std::vector<Part>> ways_of_parts;
   const auto add_visit = [&] {
     if (config.check_poses) ways_of_parts.push_back(ways_of_visit(check_x, check_z));
   };
   add_visit();
-  for (const Experiment& experiment : experiments) {
+  for (std::size_t k = 0; k < circles.size(); ++k) {
     std::vector<Part>& ways = ways_of_parts.emplace_back();
-    for (const Angle held : experiment.held_at) ways.push_back(measured_at(experiment, held));
-    add_visit();
+    for (const Angle at : circles[k].held_at)
+      ways.push_back(measured_at(circles[k], at, config, travel[circles[k].turning()]));
+    if (k + 1 == circles.size() || circles[k + 1].experiment != circles[k].experiment) add_visit();
   }
   std::vector<PlannedAngle> plan;
   for (const Part& part : least_travel(ways_of_parts)) plan.insert(plan.end(), part.begin(), part.end());

@@ -35,7 +35,11 @@ struct PlannedAngle {
   Angle alpha;           ///< Desired rotation angle, (n-1) D; + 360 degrees at the closing angle.
   Angle x, z;            ///< Commanded angles.
   bool check = false;    ///< A check pose: experiment 0, n = 1 or 2, alpha = 0.
+  int face = 1;          ///< 1 or 2 (protocol/plan/faces.h).
 };
+
+/// Whether angles of the second face are among them.
+bool has_two_faces(const std::vector<PlannedAngle>& plan);
 
 /// Whether angles of experiments 1 to 3 are among them. A levelling has none; its angles are no check poses.
 bool has_experiments(const std::vector<PlannedAngle>& plan);
@@ -53,9 +57,10 @@ class PlanError : public std::runtime_error {
 /// The angles of the three experiments (paper, section 2.4: about X; about X with Z turned -90 degrees; about
 /// Z with X turned -90 degrees) in the order in which they are measured: each experiment in one sweep of
 /// rising commanded angle, inside the travel with room for the approach from below, so that no cable winds
-/// up. With `check_poses`, both check poses come first, between the experiments and last. The order of the
+/// up. With two faces (protocol/plan/faces.h) an experiment is two such sweeps, one for each face. With
+/// `check_poses`, both check poses come first, between the experiments and last. The order of the
 /// two and the whole turns of an axis that is held are those with which the axes turn least.
-/// @throws PlanError if an angle cannot be reached.
+/// @throws PlanError if an angle cannot be reached; with two faces also for an odd number of steps.
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel);
 

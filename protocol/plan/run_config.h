@@ -40,8 +40,11 @@ inline constexpr std::string_view kPublishedEstimator = "abc";
 struct ProtocolConfig {
   int steps = 72;                    ///< N, angles of each experiment.
   Angle step = Angle::degrees(5.0);  ///< D, desired rotation step.
-  bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
-  bool check_poses = true;           ///< Measure two poses at the start, between experiments and at the end.
+  /// 1: the published protocol; 2: half the angles of each experiment in each of two faces
+  /// (protocol/plan/faces.h). N is then even.
+  int faces = 1;
+  bool closing_angle = true;  ///< Measure the first angle again, at alpha + 360 degrees.
+  bool check_poses = true;    ///< Measure two poses at the start, between experiments and at the end.
   /// "abc", "joint", "norm": chosen before the first angle, so that the choice cannot depend on the result.
   std::string estimator{kDefaultEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.

@@ -20,6 +20,9 @@ constexpr std::array kHeadQueries{
     "select item, name, value from item_register order by item, name",
     "select position, experiment, n, closing, alpha_deg, x_deg, z_deg from plan order by position",
 };
+/// Since version 5. Face 1 adds no row, so that the links of earlier versions stay valid.
+constexpr const char* kFacesOfPlan = "select position, face from plan where face <> 1 order by position";
+constexpr const char* kFaceOfDwell = "select face from dwell where id = :dwell and face <> 1";
 constexpr const char* kSessionOfDwell =
     "select id, begun_utc, begun_utc_ns, origin_ns, monotonic_ns, boot_id, since_boot_ns, clock_offset_s,"
     " clock_error_s, program_version from session where id = (select session from dwell where id = :dwell)";
@@ -107,6 +110,10 @@ std::string head_link(SqliteDatabase& database) {
     SqliteStatement rows = database.prepare(query);
     add_rows(hash, rows);
   }
+  if (has_faces(database)) {
+    SqliteStatement rows = database.prepare(kFacesOfPlan);
+    add_rows(hash, rows);
+  }
   return hash.hexadecimal();
 }
 
@@ -149,8 +156,9 @@ std::string last_dwell_link(const std::filesystem::path& run) {
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before) {
   Sha256 hash;
   hash.add(before);
-  for (const char* query : {kSessionOfDwell, kDwell, kReadings})
-    add_rows_of_dwell(hash, database, query, dwell);
+  for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash, database, query, dwell);
+  if (has_faces(database)) add_rows_of_dwell(hash, database, kFaceOfDwell, dwell);
+  add_rows_of_dwell(hash, database, kReadings, dwell);
   return hash.hexadecimal();
 }
 
@@ -160,6 +168,7 @@ DwellLink::DwellLink(SqliteDatabase& database, std::int64_t dwell) : database_(d
   last.set("dwell", dwell);
   hash_.add(last.step() ? last.text("chain") : head_link(database));
   for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash_, database, query, dwell);
+  if (has_faces(database)) add_rows_of_dwell(hash_, database, kFaceOfDwell, dwell);
 }
 
 void DwellLink::add(const ReadingRow& reading) {

@@ -14,7 +14,7 @@
 namespace abcal {
 
 /// meta `schema` of a run file.
-inline constexpr std::string_view kRunSchemaName = "abcal.run/4";
+inline constexpr std::string_view kRunSchemaName = "abcal.run/5";
 
 /// First link of the chain of dwells: SHA-256, in hexadecimal, over everything stored before the first angle
 /// (facts but state and timing, instruments, items, registers, plan).

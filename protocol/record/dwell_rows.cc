@@ -19,7 +19,7 @@ constexpr double kNanosecondsPerSecond = 1e9;
 constexpr int kDoubleDigits = std::numeric_limits<double>::digits;
 constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
 
-constexpr std::array<std::string_view, 36> kDwellColumns{"id",
+constexpr std::array<std::string_view, 37> kDwellColumns{"id",
                                                          "position",
                                                          "item",
                                                          "role",
@@ -54,7 +54,8 @@ constexpr std::array<std::string_view, 36> kDwellColumns{"id",
                                                          "first_reading_ns",
                                                          "reading_interval_ns",
                                                          "first_temperature_degc",
-                                                         "temperature_step_degc"};
+                                                         "temperature_step_degc",
+                                                         "face"};
 
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
 /// nothing more is gained.
@@ -158,8 +159,8 @@ DwellRole role_of(SqliteDatabase& database, std::int64_t position, int item, con
   return dwell.closing ? DwellRole::kClosing : dwell.role;
 }
 
-/// Columns that version 2 and 3 have alike.
-DwellRecord dwell_from(const SqliteStatement& row) {
+/// Columns that all versions have alike, and the face of version 5.
+DwellRecord dwell_from(const SqliteStatement& row, bool with_face) {
   const auto angle = [&](std::string_view column) {
     const auto value = row.optional_real(column);
     return value ? std::optional(Angle::degrees(*value)) : std::nullopt;
@@ -188,6 +189,7 @@ DwellRecord dwell_from(const SqliteStatement& row) {
   if (row.optional_real("u_u")) dwell.u_mean = vector("u_u", "u_v", "u_w");
   dwell.temperature_degc = row.optional_real("temperature_degc");
   dwell.flags = static_cast<std::uint32_t>(row.integer("flags"));
+  if (with_face) dwell.face = static_cast<int>(row.integer("face"));
   return dwell;
 }
 
@@ -241,7 +243,10 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   const ReadingConstants constants = constants_of(readings, times_.origin_ns);
   std::optional<std::int64_t> time_ns;
   if (dwell.time_s && std::isfinite(*dwell.time_s)) time_ns = nanoseconds(*dwell.time_s) - times_.origin_ns;
-  SqliteStatement row = database_.prepare(insert_into("dwell", kDwellColumns));
+  const bool with_face = has_faces(database_);  // The last column.
+  const std::span columns(kDwellColumns);
+  SqliteStatement row =
+      database_.prepare(insert_into("dwell", with_face ? columns : columns.first(columns.size() - 1)));
   row.set("id", id)
       .set("position", position)
       .set("item", std::int64_t{item})
@@ -266,6 +271,7 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
       .set("first_sequence", constants.first_sequence)
       .set("first_reading_ns", constants.first_ns)
       .set("reading_interval_ns", constants.interval_ns);
+  if (with_face) row.set("face", std::int64_t{dwell.face});
   if (times_.begun && time_ns) row.set("utc", format_utc(*times_.begun + Clock::Duration(*time_ns)));
   const auto& scale = constants.temperature;
   row.set("first_temperature_degc", scale ? std::optional(scale->first_degc) : std::nullopt)
@@ -284,13 +290,14 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
 void read_counting_dwells(SqliteDatabase& database, int item,
                           const std::function<void(std::size_t, DwellRecord)>& each) {
   const bool version_2 = is_version_2(database);
+  const bool with_face = has_faces(database);
   SqliteStatement rows = database.prepare(
       version_2 ? "select * from dwell where id in (select min(id) from dwell group by position) order by id"
                 : "select * from dwell where item = :item and id in"
                   " (select min(id) from dwell where item = :item group by position) order by id");
   if (!version_2) rows.set("item", std::int64_t{item});
   while (rows.step()) {
-    DwellRecord dwell = dwell_from(rows);
+    DwellRecord dwell = dwell_from(rows, with_face);
     if (!version_2) dwell.role = dwell_role_from(rows.text("role")).value_or(dwell.role);
     each(static_cast<std::size_t>(rows.integer("position")), std::move(dwell));
   }
@@ -299,6 +306,7 @@ void read_counting_dwells(SqliteDatabase& database, int item,
 void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell&)>& each,
                      int item) {
   const bool version_2 = is_version_2(database);
+  const bool with_face = has_faces(database);
   SqliteStatement dwells = database.prepare(
       version_2 ? "select *, 1 as item, id not in (select min(id) from dwell group by position) as again"
                   " from dwell order by id"
@@ -317,6 +325,7 @@ void read_all_dwells(SqliteDatabase& database, const std::function<void(const St
     dwell.experiment = static_cast<int>(dwells.integer("experiment"));
     dwell.n = static_cast<int>(dwells.integer("n"));
     dwell.closing = dwells.integer("closing") != 0;
+    if (with_face) dwell.face = static_cast<int>(dwells.integer("face"));
     dwell.alpha = Angle::degrees(dwells.real("alpha_deg"));
     dwell.repeat = dwells.integer("again") != 0;
     readings.set("dwell", dwells.integer("id"));
@@ -332,7 +341,7 @@ DwellWithReadings read_dwell_of_version_2(SqliteDatabase& database, std::int64_t
   SqliteStatement readings = database.prepare(
       "select sequence, time_s, u, v, w, temperature_degc from reading_2 where dwell = :dwell order by k");
   readings.set("dwell", id);
-  return {dwell_from(row), readings_from(readings)};
+  return {dwell_from(row, false), readings_from(readings)};
 }
 
 }  // namespace abcal

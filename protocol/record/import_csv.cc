@@ -21,6 +21,7 @@
 #include <utility>
 
 #include "drivers/text/text.h"
+#include "protocol/plan/faces.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/record/imported_dwells.h"
@@ -35,10 +36,10 @@ constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_de
 constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
 constexpr std::array<std::string_view, 3> kSpreadColumns{"spread_u", "spread_v", "spread_w"};
-constexpr std::array<std::string_view, 17> kKnown{
+constexpr std::array<std::string_view, 18> kKnown{
     "experiment", "n",        "alpha_deg", "r_u",   "r_v",   "r_w",     "u_u",
     "u_v",        "u_w",      "time_s",    "count", "flags", "closing", "temperature_degc",
-    "spread_u",   "spread_v", "spread_w"};
+    "spread_u",   "spread_v", "spread_w",  "face"};
 
 struct Row {
   int line = 0;
@@ -410,6 +411,8 @@ class Importer {
           whole_number(row, "flags", 0, kAllFlags, "a sum of known flags").value_or(0));
     }
     if (has("closing")) dwell.closing = whole_number(row, "closing", 0, 1, "0 or 1").value_or(0) == 1;
+    if (has("face") && !trimmed(field(row, "face")).empty())
+      dwell.face = static_cast<int>(whole_number(row, "face", 1, kFaces, "face 1 or 2").value_or(1));
     if (!experiment || !n || !alpha) return;
     dwell.experiment = static_cast<int>(*experiment);
     dwell.n = static_cast<int>(*n);

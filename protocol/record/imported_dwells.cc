@@ -5,10 +5,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
+#include <map>
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <utility>
+
+#include "protocol/plan/faces.h"
 
 namespace abcal {
 namespace {
@@ -32,6 +35,7 @@ std::vector<Problem> problems_of_sizes(const RecordRows& rows) {
   check_size("readings", rows.mean.size(), count, problems);
   if (!rows.u_mean.empty()) check_size("u", rows.u_mean.size(), count, problems);
   if (!rows.time_s.empty()) check_size("time_s", rows.time_s.size(), count, problems);
+  if (!rows.face.empty()) check_size("face", rows.face.size(), count, problems);
   return problems;
 }
 
@@ -47,6 +51,8 @@ void check_row(const RecordRows& rows, std::size_t i, std::vector<Problem>& prob
     problems.push_back({where("u"), vector_text(rows.u_mean[i]), "standard uncertainties >= 0"});
   if (!rows.time_s.empty() && !std::isfinite(rows.time_s[i]))
     problems.push_back({where("time_s"), fmt::format("{:g}", rows.time_s[i]), "a finite number"});
+  if (!rows.face.empty() && (rows.face[i] < 1 || rows.face[i] > kFaces))
+    problems.push_back({where("face"), std::to_string(rows.face[i]), "1 or 2"});
 }
 
 void throw_if_any(const std::vector<Problem>& problems, const std::string& source) {
@@ -63,21 +69,19 @@ void throw_if_any(const std::vector<Problem>& problems, const std::string& sourc
 
 void set_commanded_angles(DwellRecord& dwell) {
   const Angle turned = Angle::degrees(std::remainder(dwell.alpha.deg(), 360.0));
-  const Angle initial = Angle::degrees(-90.0);
-  dwell.commanded_x = dwell.experiment == 3 ? initial : turned;
-  dwell.commanded_z = dwell.experiment == 3 ? turned : dwell.experiment == 2 ? initial : Angle();
+  const Angle held = held_angle(dwell.experiment, dwell.face);
+  dwell.commanded_x = dwell.experiment == 3 ? held : turned;
+  dwell.commanded_z = dwell.experiment == 3 ? turned : held;
 }
 
 void mark_closing_angles(std::vector<DwellRecord>& dwells) {
-  std::array<double, 3> smallest;
-  smallest.fill(std::numeric_limits<double>::infinity());
+  std::map<std::pair<int, int>, double> smallest;  // of each experiment and face
   for (const DwellRecord& dwell : dwells) {
-    double& least = smallest[static_cast<std::size_t>(dwell.experiment - 1)];
+    double& least = smallest.try_emplace({dwell.experiment, dwell.face}, dwell.alpha.deg()).first->second;
     least = std::min(least, dwell.alpha.deg());
   }
-  for (DwellRecord& dwell : dwells) {
-    dwell.closing = dwell.alpha.deg() - 360.0 == smallest[static_cast<std::size_t>(dwell.experiment - 1)];
-  }
+  for (DwellRecord& dwell : dwells)
+    dwell.closing = dwell.alpha.deg() - 360.0 == smallest.at({dwell.experiment, dwell.face});
 }
 
 std::vector<Problem> too_few_angles(const std::vector<DwellRecord>& dwells) {
@@ -99,13 +103,14 @@ std::vector<Problem> too_few_angles(const std::vector<DwellRecord>& dwells) {
 void infer_steps(RunRecord& record) {
   record.steps = 0;
   const DwellRecord* first = nullptr;
+  const int next = has_two_faces(record) ? kFaces : 1;  // The angles of two faces interleave.
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
     record.steps = std::max(record.steps, dwell.n);
     if (first == nullptr) {
       first = &dwell;
-    } else if (dwell.experiment == first->experiment && dwell.n == first->n + 1) {
-      record.step = dwell.alpha - first->alpha;
+    } else if (dwell.experiment == first->experiment && dwell.n == first->n + next) {
+      record.step = (dwell.alpha - first->alpha) * (1.0 / next);
       first = &dwell;
     }
   }
@@ -119,11 +124,15 @@ RunRecord record_of_rows(const RecordRows& rows, const std::string& source) {
   RunRecord record;
   record.source = source;
   record.dwells.resize(rows.alpha_deg.size());
-  std::array<int, 3> count{};
+  const int faces = std::ranges::count(rows.face, kFaces) > 0 ? kFaces : 1;
+  std::array<std::array<int, kFaces>, 3> count{};
   for (std::size_t i = 0; i < rows.alpha_deg.size(); ++i) {
     DwellRecord& dwell = record.dwells[i];
     dwell.experiment = rows.experiment[i];
-    dwell.n = ++count[static_cast<std::size_t>(dwell.experiment - 1)];
+    if (!rows.face.empty()) dwell.face = rows.face[i];
+    int& of_circle =
+        count.at(static_cast<std::size_t>(dwell.experiment - 1)).at(static_cast<std::size_t>(dwell.face - 1));
+    dwell.n = faces * of_circle++ + dwell.face;
     dwell.alpha = Angle::degrees(rows.alpha_deg[i]);
     dwell.mean = rows.mean[i];
     if (!rows.u_mean.empty()) dwell.u_mean = rows.u_mean[i];

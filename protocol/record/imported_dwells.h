@@ -24,11 +24,13 @@ void infer_steps(RunRecord& record);
 
 /// Averaged readings as arrays, one row an angle: experiment, desired angle and outputs of row i.
 struct RecordRows {
-  std::vector<int> experiment;  ///< 1, 2 or 3; n counts the rows of each from 1.
+  std::vector<int> experiment;  ///< 1, 2 or 3; n counts the rows of each from 1, those of two faces
+                                ///< in turn: 1, 3, 5, ... and 2, 4, 6, ....
   std::vector<double> alpha_deg;
   std::vector<Eigen::Vector3d> mean;    ///< R
   std::vector<Eigen::Vector3d> u_mean;  ///< R; empty: not known.
   std::vector<double> time_s;           ///< Empty: not known.
+  std::vector<int> face;                ///< 1 or 2 (protocol/plan/faces.h); empty: all rows are of face 1.
 };
 
 /// A record of them; everything else has its default.

@@ -15,6 +15,7 @@ inline DwellRecord planned_dwell(const PlannedAngle& angle) {
   dwell.alpha = angle.alpha;
   dwell.commanded_x = angle.x;
   dwell.commanded_z = angle.z;
+  dwell.face = angle.face;
   return dwell;
 }
 

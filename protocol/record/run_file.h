@@ -152,6 +152,7 @@ struct StoredDwell {
   int experiment = 0;
   int n = 0;
   bool closing = false;
+  int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
   int item = 1;  ///< Item of the run, from 1.
   Angle alpha;
   bool repeat = false;  ///< The angle was measured again, for comparison: its first dwell counts.

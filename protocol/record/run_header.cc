@@ -131,8 +131,8 @@ void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
 }
 
 void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angles) {
-  static constexpr std::array<std::string_view, 7> kColumns{"position",  "experiment", "n",    "closing",
-                                                            "alpha_deg", "x_deg",      "z_deg"};
+  static constexpr std::array<std::string_view, 8> kColumns{"position",  "experiment", "n",     "closing",
+                                                            "alpha_deg", "x_deg",      "z_deg", "face"};
   SqliteStatement row = database.prepare(insert_into("plan", kColumns));
   for (std::size_t position = 0; position < angles.size(); ++position) {
     const PlannedAngle& angle = angles[position];
@@ -143,6 +143,7 @@ void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angle
         .set("alpha_deg", angle.alpha.deg())
         .set("x_deg", angle.x.deg())
         .set("z_deg", angle.z.deg())
+        .set("face", std::int64_t{angle.face})
         .run();
   }
 }
@@ -235,11 +236,13 @@ void read_instruments(SqliteDatabase& database, int item, std::vector<Instrument
 }
 
 void read_plan(SqliteDatabase& database, std::vector<PlannedAngle>& plan) {
+  const bool with_face = has_faces(database);
   SqliteStatement rows = database.prepare("select * from plan order by position");
   while (rows.step()) {
     plan.push_back({static_cast<int>(rows.integer("experiment")), static_cast<int>(rows.integer("n")),
                     rows.integer("closing") != 0, Angle::degrees(rows.real("alpha_deg")),
                     Angle::degrees(rows.real("x_deg")), Angle::degrees(rows.real("z_deg"))});
+    if (with_face) plan.back().face = static_cast<int>(rows.integer("face"));
   }
   // Angles outside the experiments are check poses, but those of a levelling are its measurement.
   if (!has_experiments(plan)) return;

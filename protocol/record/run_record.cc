@@ -1,5 +1,6 @@
 #include "protocol/record/run_record.h"
 
+#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -39,6 +40,10 @@ std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record) {
     if (i < record.dwells.size()) all.push_back(&record.dwells[i]);
   }
   return all;
+}
+
+bool has_two_faces(const RunRecord& record) {
+  return std::ranges::any_of(record.dwells, [](const DwellRecord& dwell) { return dwell.face == 2; });
 }
 
 bool backlash_is_left(const RunRecord& record) {

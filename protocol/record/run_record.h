@@ -53,7 +53,7 @@ struct DwellRecord {
   bool closing = false;  ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
   DwellRole role = DwellRole::kPlan;  ///< kPlan with `closing` set means kClosing: RunFile stores it so.
   Angle alpha;                        ///< Desired rotation angle.
-  Angle commanded_x, commanded_z;     ///< Angles of the plan: alpha or the initial turn, by whole turns.
+  Angle commanded_x, commanded_z;     ///< Angles of the plan: alpha or the held angle, by whole turns.
   std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
   /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
   /// in it. (In run files of version 2 they are not.)
@@ -68,6 +68,7 @@ struct DwellRecord {
   std::optional<Eigen::Vector3d> u_mean;
   std::optional<double> temperature_degc;
   std::uint32_t flags = kFlagNone;
+  int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
 };
 
 /// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
@@ -131,6 +132,9 @@ struct RunRecord {
 /// Whether the backlash of the axes is part of the readings: the run states that angles were not approached
 /// from below, and an axis turned both ways.
 bool backlash_is_left(const RunRecord& record);
+
+/// Whether dwells of the second face are among the record's.
+bool has_two_faces(const RunRecord& record);
 
 /// The dwells of a record with those at its check poses, in the order of measurement; they live in it.
 std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record);

@@ -65,6 +65,12 @@ constexpr const char* kTablesOfVersion4 = R"(
 create table witness(id integer primary key, line text not null, signature blob not null);
 )";
 
+/// New in version 5.
+constexpr const char* kColumnsOfVersion5 = R"(
+alter table plan add column face integer not null default 1;
+alter table dwell add column face integer not null default 1;
+)";
+
 /// A program that was killed may leave a change half made, which a read-only connection cannot take back.
 void recover(const std::filesystem::path& path) {
   std::error_code ignored;
@@ -90,10 +96,15 @@ void create_run_schema(SqliteDatabase& database) {
   database.execute(kTablesOfVersion2);
   database.execute(kTablesOfVersion3);
   database.execute(kTablesOfVersion4);
+  database.execute(kColumnsOfVersion5);
 }
 
 std::int64_t run_file_version(SqliteDatabase& database) {
   return std::stoll(database.value("pragma user_version").value_or("0"));
+}
+
+bool has_faces(SqliteDatabase& database) {
+  return run_file_version(database) >= 5;
 }
 
 namespace {
@@ -197,7 +208,8 @@ void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& p
   }
   Transaction transaction(database);
   if (version < 3) upgrade_run_schema_2_to_3(database);
-  upgrade_run_schema_3_to_4(database);
+  if (version < 4) upgrade_run_schema_3_to_4(database);
+  upgrade_run_schema_4_to_5(database);
   transaction.commit();
 }
 
@@ -236,6 +248,11 @@ void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
 void upgrade_run_schema_3_to_4(SqliteDatabase& database) {
   database.execute(kTablesOfVersion4);
   mark_version(database, 4);
+}
+
+void upgrade_run_schema_4_to_5(SqliteDatabase& database) {
+  database.execute(kColumnsOfVersion5);
+  mark_version(database, 5);
 }
 
 }  // namespace abcal

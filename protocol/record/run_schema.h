@@ -11,14 +11,17 @@ namespace abcal {
 
 inline constexpr std::int64_t kRunFileApplicationId = 0x4142434C;  // "ABCL"
 /// 1: the first; 2: events are chained and say who; 3: sessions, items, roles, compact and chained readings;
-/// 4: the witness.
-inline constexpr std::int64_t kRunFileVersion = 4;
+/// 4: the witness; 5: faces.
+inline constexpr std::int64_t kRunFileVersion = 5;
 
 /// Makes the tables and views of the present version in an empty file, and marks it as a run file.
 void create_run_schema(SqliteDatabase& database);
 
 /// Version of the tables of an open run file.
 std::int64_t run_file_version(SqliteDatabase& database);
+
+/// Whether plan and dwells of an open run file say of which face they are (since version 5).
+bool has_faces(SqliteDatabase& database);
 
 /// Opens a run file of any version up to the present, without checking for damage, which takes as long as
 /// reading all of it.
@@ -46,5 +49,9 @@ void upgrade_run_schema_2_to_3(SqliteDatabase& database);
 
 /// The step from version 3 to 4, within a transaction. The links stay valid: meta `schema` stays as it was.
 void upgrade_run_schema_3_to_4(SqliteDatabase& database);
+
+/// The step from version 4 to 5, within a transaction: all that is there is of face 1, which adds nothing to
+/// the links.
+void upgrade_run_schema_4_to_5(SqliteDatabase& database);
 
 }  // namespace abcal

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
 #include "protocol/run/dwell_measurement.h"
 #include "protocol/run/halting.h"
@@ -170,8 +171,7 @@ class ExperimentRun {
 
   void commit(std::size_t position, std::vector<ItemDwell>& measured) {
     const bool is_check = measured_.contains(position);  // The file has this angle already.
-    const bool last =
-        position + 1 == plan_.size() || plan_[position + 1].experiment != plan_[position].experiment;
+    const bool last = position + 1 == plan_.size() || !is_same_circle(plan_[position + 1], plan_[position]);
     for (ItemDwell& each : measured) {
       ItemChannel& channel = items_.of(each.item);
       if (is_check) continue;

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/faces.h"
 #include "protocol/run/plausibility.h"
 
 namespace abcal {
@@ -95,7 +96,7 @@ std::optional<std::string> PlausibilityCheck::temperature_excess(
 }
 
 std::optional<std::string> PlausibilityCheck::full_scale_excess(const DwellRecord& dwell, bool last) {
-  if (!circle_.empty() && circle_.back().experiment != dwell.experiment) circle_.clear();
+  if (!circle_.empty() && !is_same_circle(circle_.back(), dwell)) circle_.clear();
   circle_.push_back(dwell);
   if (!last || !nominal_ || dwell.experiment == 0) return std::nullopt;
   return abcal::full_scale_excess(circle_, *nominal_, context_.settings.expected);

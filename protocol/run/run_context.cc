@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "protocol/plan/faces.h"
+
 namespace abcal {
 
 std::string describe(const PlannedAngle& angle) {
@@ -9,7 +11,7 @@ std::string describe(const PlannedAngle& angle) {
     return fmt::format("{}X = {:.6g} deg, Z = {:.6g} deg",
                        angle.check ? fmt::format("check pose {}, ", angle.n) : "", angle.x.deg(),
                        angle.z.deg());
-  return fmt::format("experiment {}, alpha = {} deg", angle.experiment, angle.alpha.deg());
+  return fmt::format("{}, alpha = {} deg", circle_words(angle.experiment, angle.face), angle.alpha.deg());
 }
 
 }  // namespace abcal

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "protocol/linear/pivoted_qr.h"
+#include "protocol/plan/faces.h"
 
 namespace abcal {
 
@@ -63,7 +64,8 @@ AbcDesign AbcDesign::of_record(const RunRecord& record) {
       throw std::invalid_argument(record.source + ": experiment " + std::to_string(dwell.experiment) +
                                   ", experiments are 1, 2, 3");
     }
-    alpha[static_cast<std::size_t>(dwell.experiment - 1)].push_back(dwell.alpha);
+    alpha[static_cast<std::size_t>(dwell.experiment - 1)].push_back(
+        angle_in_face_1(dwell.experiment, dwell.face, dwell.alpha));
   }
   try {
     return of_angles(alpha);

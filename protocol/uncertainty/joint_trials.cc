@@ -101,7 +101,9 @@ void JointTrials::draw_effects(RandomStream& stream, JointDraw& draw) const {
   draw.steps.assign(model_.angles(), 0.0);
   if (!(model_.step_sd() > 0.0)) return;
   const Shape shape = sizes_.shape_of("step_deg");
-  for (double& step : draw.steps) step = model_.step_sd() * standard_draw(shape, stream);
+  // Of the stated size everywhere: that the fit assumes a larger one at some angles is its caution.
+  for (std::size_t n = 0; n < draw.steps.size(); ++n)
+    draw.steps[n] = model_.step_sd() * standard_draw(shape, stream) / model_.step_factor(n);
 }
 
 void JointTrials::draw_noise(RandomStream& stream, JointDraw& draw) const {

@@ -60,6 +60,12 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
     throw std::invalid_argument("number of trials = " + std::to_string(*options.trials) +
                                 ", at least 2 are needed");
   }
+  if (has_two_faces(record)) {
+    throw std::invalid_argument(
+        record.source +
+        ": has two faces, and the Monte Carlo study of ABC draws a stage at the poses of the published "
+        "protocol only; required: a run of one face, or the joint estimator (--estimator joint)");
+  }
   RunUncertainty study;
   study.source = record.source;
   study.response_unit = record.response_unit;

@@ -120,6 +120,16 @@ TEST(BenchConfigTest, RefusesSettingsThatContradictEachOther) {
   EXPECT_THAT(problems_of(base + "[protocol]\nsteps = 73\nstep_deg = 5\n"),
               HasSubstr("(steps - 1) * step_deg < 360"));
   EXPECT_NO_THROW(parse_bench(base + "[protocol]\nsteps = 72\nstep_deg = 5\n", "bench.toml"));
+  // Half of the angles of an experiment belong to each face, and a circle needs four.
+  for (const char* steps : {"71", "6"}) {
+    EXPECT_THAT(problems_of(base + "[protocol]\nsteps = " + steps + "\nstep_deg = 5\nfaces = 2\n"),
+                HasSubstr(std::string("steps: found ") + steps +
+                          " with faces = 2; required: an even number of at least 8"));
+  }
+  EXPECT_NO_THROW(parse_bench(base + "[protocol]\nsteps = 8\nstep_deg = 45\nfaces = 2\n", "bench.toml"));
+  EXPECT_THAT(problems_of(base + "[protocol]\nfaces = 3\n"), HasSubstr("[protocol] faces: found 3"));
+  EXPECT_THAT(problems_of(base + "[protocol]\nfaces = 2\n[temperature]\nset_points_degc = [23, 60]\n"),
+              HasSubstr("faces: found 2 with [temperature] set_points_degc; required: faces = 1"));
   EXPECT_THAT(
       problems_of("[stage]\ndriver=\"pi_gcs\"\nport=\"simulated\"\n[accelerometer]\ndriver=\"simulated\"\n"
                   "port=\"simulated\"\n"),
@@ -238,6 +248,11 @@ TEST(BenchConfigTest, AListOfOneItemMeansTheSameAsTheFormOfOne) {
   EXPECT_EQ(write_bench(listed), write_bench(plain));
   EXPECT_EQ(accelerometer_name(listed, 1), "accelerometer");
   EXPECT_EQ(item_words(listed, 1), "");
+}
+
+TEST(BenchConfigTest, SeveralItemsAreMeasuredInOneFace) {
+  EXPECT_THAT(problems_of(kTrayBench + tray_item("/dev/a") + tray_item("/dev/b") + "[protocol]\nfaces = 2\n"),
+              HasSubstr("[protocol] faces: found 2 with several items; required: faces = 1"));
 }
 
 TEST(BenchConfigTest, EveryProblemOfSeveralItemsIsToldAtOnceWithItsLine) {

@@ -76,6 +76,30 @@ class Arrays(unittest.TestCase):
         record = abcal.Record(alpha, readings)
         self.assertEqual(sum(record.closing), 3)
 
+    def test_two_faces(self):
+        first = np.arange(6) * 60.0
+        second = first + 30.0
+        # What the item sees in face 2, in the angles of face 1 (docs/measurement.md, "Two faces").
+        seen = {1: -second, 2: -second, 3: second + 180.0}
+        readings, alpha, experiment, face = [], [], [], []
+        for of_circle, angles in ((1, first), (2, second)):
+            for number in (1, 2, 3):
+                for i, angle in enumerate(angles):
+                    gravity = abcal.specific_force(number, angle if of_circle == 1 else seen[number][i])
+                    readings.append(MATRIX @ gravity + OFFSET)
+                    alpha.append(angle)
+                    experiment.append(number)
+                    face.append(of_circle)
+        record = abcal.Record(alpha, readings, experiment=experiment, face=face)
+        np.testing.assert_array_equal(record.face, face)
+        result = abcal.analyse(record, "abc")
+        np.testing.assert_allclose(result.sensitivity_matrix.value, MATRIX, atol=1e-12)
+        as_one = abcal.analyse(abcal.Record(alpha, readings, experiment=experiment), "abc")
+        difference = as_one.sensitivity_matrix.value - MATRIX
+        self.assertFalse(np.abs(difference).max() < 0.1, "these readings tell the faces apart")
+        again = abcal.Record(alpha, readings, experiment=experiment, face=record.to_pandas().face)
+        np.testing.assert_array_equal(again.face, face)
+
     def test_settings_arrive(self):
         record = abcal.Record(
             self.alpha, self.readings, response_unit="g", g_loc=9.81, u_g_loc=1e-5, estimator="joint", effects={"wobble_urad": 7.0}
@@ -105,6 +129,8 @@ class WrongArrays(unittest.TestCase):
         self.refused("experiment: found none", alpha_deg=np.tile(self.alpha, 3), readings=self.readings.reshape(-1, 3))
         self.refused("experiment: found one", experiment=[1, 2, 3])
         self.refused("readings: found shape ()", readings=1.0)
+        self.refused("face: found shape (2,)", face=[1, 2])
+        self.refused("face, row 1: found 0; required: 1 or 2", face=[1, 3] + [1] * 22)
 
     def test_numbers(self):
         self.readings[1, 2, 0] = np.nan
@@ -162,7 +188,7 @@ class OtherPackages(unittest.TestCase):
             self.skipTest("python3-pandas is not installed")
         record = simulated().record
         frame = record.to_pandas()
-        self.assertEqual(list(frame.columns)[:5], ["experiment", "alpha_deg", "r_u", "r_v", "r_w"])
+        self.assertEqual(list(frame.columns)[:5], ["experiment", "face", "alpha_deg", "r_u", "r_v"])
         np.testing.assert_array_equal(frame[["r_u", "r_v", "r_w"]].to_numpy(), record.readings)
         again = abcal.Record(frame.alpha_deg, frame[["r_u", "r_v", "r_w"]], experiment=frame.experiment)
         np.testing.assert_array_equal(again.readings, record.readings)

@@ -94,6 +94,7 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
   for (const PlannedAngle& angle : plan.angles) {
     json["angles"].push_back({{"experiment", angle.experiment},
                               {"n", angle.n},
+                              {"face", angle.face},
                               {"closing", angle.closing},
                               {"check", angle.check},
                               {"alpha_deg", angle.alpha.deg()},
@@ -108,8 +109,8 @@ void print_angles(const std::vector<PlannedAngle>& angles) {
                "Z/deg");
   for (std::size_t k = 0; k < angles.size(); ++k) {
     const PlannedAngle& angle = angles[k];
-    print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
-                 angle.alpha.deg(), angle.x.deg(), angle.z.deg(),
+    print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}{}\n", k + 1, angle.experiment, angle.n,
+                 angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.face == 2 ? "  face 2" : "",
                  angle.closing ? "  closing angle"
                  : angle.check ? "  check pose"
                                : "");

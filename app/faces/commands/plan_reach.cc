@@ -82,10 +82,15 @@ void print_prediction(const PlanPrediction& plan, const WantedValues& wanted) {
   }
 }
 
+/// "3 x 72"; in two faces "6 x 36".
+std::string circles_and_angles(const ProtocolConfig& protocol) {
+  return fmt::format("{} x {}", 3 * protocol.faces, protocol.steps / protocol.faces);
+}
+
 void print_plan(const PlanPrediction& plan, double rate_hz) {
   const PlanDuration& duration = plan.duration;
-  print_result("3 x {} angles of {:g} deg, {} readings at each ({:.3g} s)\n", plan.protocol.steps,
-               plan.protocol.step.deg(), plan.protocol.dwell_readings,
+  print_result("{} angles of {:g} deg, {} readings at each ({:.3g} s)\n", circles_and_angles(plan.protocol),
+               plan.protocol.step.deg() * plan.protocol.faces, plan.protocol.dwell_readings,
                readings_per_dwell(plan.protocol, rate_hz) / rate_hz);
   print_result("About {}: moving {}, settling {}, reading {}\n", describe_duration(duration.total_s()),
                describe_duration(duration.moving_s), describe_duration(duration.settling_s),
@@ -104,6 +109,7 @@ nlohmann::ordered_json prediction_json(const PlanPrediction& plan, const WantedV
         {"share", plan.limits[group].share}};
   }
   return {{"steps", plan.protocol.steps},
+          {"faces", plan.protocol.faces},
           {"step_deg", plan.protocol.step.deg()},
           {"dwell_readings", plan.protocol.dwell_readings},
           {"estimator", plan.protocol.estimator},
@@ -183,8 +189,8 @@ void print_curve(const std::vector<PlanPrediction>& plans) {
       "time/min", "angles", "readings", "s", "off", "O", "phi/deg");
   for (const PlanPrediction& plan : plans) {
     print_result("{:>9.1f} {:>9} {:>9} {:>10} {:>10} {:>10} {:>10}\n", plan.duration.total_s() / 60.0,
-                 fmt::format("3 x {}", plan.protocol.steps), plan.protocol.dwell_readings,
-                 value_text(plan.u[0]), value_text(plan.u[1]), value_text(plan.u[2]), value_text(plan.u[3]));
+                 circles_and_angles(plan.protocol), plan.protocol.dwell_readings, value_text(plan.u[0]),
+                 value_text(plan.u[1]), value_text(plan.u[2]), value_text(plan.u[3]));
   }
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "app/ground/system/terminal.h"
+#include "protocol/plan/faces.h"
 #include "protocol/run/run_observer.h"
 
 namespace abcal {
@@ -62,11 +63,11 @@ void TerminalListener::show(const PhaseEvent& event) {
   if (event.position < plan_.size() && event.phase != RunPhase::kHoming &&
       event.phase != RunPhase::kWarmingUp) {
     const PlannedAngle& angle = plan_[event.position];
-    words += angle.experiment > 0
-                 ? fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg())
-                 : fmt::format(", {}X = {:g} deg, Z = {:g} deg",
-                               angle.check ? fmt::format("check pose {}, ", angle.n) : "", angle.x.deg(),
-                               angle.z.deg());
+    words += angle.experiment > 0 ? fmt::format(", {}, alpha = {:g} deg",
+                                                circle_words(angle.experiment, angle.face), angle.alpha.deg())
+                                  : fmt::format(", {}X = {:g} deg, Z = {:g} deg",
+                                                angle.check ? fmt::format("check pose {}, ", angle.n) : "",
+                                                angle.x.deg(), angle.z.deg());
   }
   bar_->show(static_cast<double>(measured_.size()), static_cast<double>(plan_.size()), words);
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "protocol/plan/faces.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -12,7 +13,7 @@ namespace {
 
 std::string in_words(const PlannedAngle& angle) {
   if (angle.check) return fmt::format("check pose {}", angle.n);
-  return fmt::format("experiment {}, {:g} degrees{}", angle.experiment, angle.alpha.deg(),
+  return fmt::format("{}, {:g} degrees{}", circle_words(angle.experiment, angle.face), angle.alpha.deg(),
                      angle.closing ? " (closing angle)" : "");
 }
 

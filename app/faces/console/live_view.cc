@@ -12,6 +12,7 @@
 #include "app/operate/bench/guarded_stage.h"
 #include "app/results/estimates/result_json.h"
 #include "protocol/estimators/circle/harmonic_fit.h"
+#include "protocol/plan/faces.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -308,7 +309,7 @@ Json LiveView::fit_of(int experiment) const {
     const DwellRecord& dwell = done.first();
     if (done.first_item() != run_->measured.back().first_item()) continue;
     if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
-    alpha.push_back(dwell.alpha);
+    alpha.push_back(angle_in_face_1(dwell.experiment, dwell.face, dwell.alpha));
     for (std::size_t j = 0; j < 3; ++j) readings[j].push_back(dwell.mean[static_cast<Eigen::Index>(j)]);
   }
   Json outputs = Json::array();

@@ -43,13 +43,15 @@ void set_gravity(const RecordSettings& settings, ::abcal::RunRecord& record) {
   record.g_loc.source = settings.g_loc_source;
 }
 
-::abcal::RunRecord record_of(const RecordArrays& arrays, const RecordSettings& settings) {
+::abcal::RunRecord record_of(const RecordArrays& arrays, std::span<const int> face,
+                             const RecordSettings& settings) {
   ::abcal::RecordRows rows;
   rows.experiment.assign(arrays.experiment.begin(), arrays.experiment.end());
   rows.alpha_deg = numbers_of(arrays.alpha_deg);
   rows.mean = vectors_of(arrays.readings);
   rows.u_mean = vectors_of(arrays.u);
   rows.time_s = numbers_of(arrays.time_s);
+  rows.face.assign(face.begin(), face.end());
   ::abcal::RunRecord record = ::abcal::record_of_rows(rows, settings.source);
   if (!settings.response_unit.empty()) record.response_unit = settings.response_unit;
   if (!settings.estimator.empty()) record.estimator = ::abcal::find_estimator(settings.estimator).name;
@@ -81,7 +83,10 @@ void set_effects(const std::map<std::string, double>& effects, ::abcal::EffectSi
 }
 
 Record::Record(const RecordArrays& arrays, const RecordSettings& settings)
-    : data_(std::make_shared<const Data>(Data{record_of(arrays, settings)})) {}
+    : Record(arrays, std::span<const int>(), settings) {}
+
+Record::Record(const RecordArrays& arrays, std::span<const int> face, const RecordSettings& settings)
+    : data_(std::make_shared<const Data>(Data{record_of(arrays, face, settings)})) {}
 
 std::string Record::source() const {
   return data_->record.source;
@@ -109,6 +114,12 @@ double Record::g_loc_mps2() const {
 std::vector<int> Record::experiment() const {
   std::vector<int> list;
   for (const ::abcal::DwellRecord& dwell : data_->record.dwells) list.push_back(dwell.experiment);
+  return list;
+}
+
+std::vector<int> Record::face() const {
+  std::vector<int> list;
+  for (const ::abcal::DwellRecord& dwell : data_->record.dwells) list.push_back(dwell.face);
   return list;
 }
 

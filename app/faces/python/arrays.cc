@@ -92,6 +92,16 @@ std::vector<int> experiments_of(const py::object& given, const Strided& readings
   return list;
 }
 
+/// 0 in place of each number that is neither 1 nor 2: the record refuses it, and names its row.
+std::vector<int> faces_of(const py::object& given, const Strided& readings) {
+  std::vector<int> list;
+  if (given.is_none()) return list;
+  const Strided array = as_column(mappable(numbers(given, "face")), readings, "face");
+  for (py::ssize_t i = 0; i < array.shape(0); ++i)
+    list.push_back(array.at(i) == 1.0 ? 1 : array.at(i) == 2.0 ? 2 : 0);
+  return list;
+}
+
 Strided readings_of(const py::object& given, const char* name) {
   const Strided array = mappable(numbers(given, name));
   const bool circles = array.ndim() == 3 && array.shape(0) == 3 && array.shape(2) == 3;
@@ -130,7 +140,7 @@ Record record_of(const py::object& alpha_deg, const py::object& readings, const 
                  const py::object& experiment, const py::object& time_s, const std::string& response_unit,
                  const std::string& estimator, std::optional<double> g_loc, double u_g_loc,
                  const std::string& g_loc_source, const std::map<std::string, double>& effects,
-                 const std::string& source) {
+                 const std::string& source, const py::object& face) {
   const Strided given = readings_of(readings, "readings");
   const Strided rows = mappable(as_rows(given));
   const Strided alpha = mappable(as_column(mappable(numbers(alpha_deg, "alpha_deg")), given, "alpha_deg"));
@@ -148,7 +158,7 @@ Record record_of(const py::object& alpha_deg, const py::object& readings, const 
   const RecordArrays arrays{experiments, column_of(alpha), rows_of(rows),
                             u.is_none() ? no_rows() : rows_of(u_rows),
                             time_s.is_none() ? no_column() : column_of(times)};
-  return {arrays, settings};
+  return {arrays, faces_of(face, given), settings};
 }
 
 // NOLINTNEXTLINE(readability-function-size)

@@ -33,7 +33,7 @@ Record record_of(const py::object& alpha_deg, const py::object& readings, const 
                  const py::object& experiment, const py::object& time_s, const std::string& response_unit,
                  const std::string& estimator, std::optional<double> g_loc, double u_g_loc,
                  const std::string& g_loc_source, const std::map<std::string, double>& effects,
-                 const std::string& source);
+                 const std::string& source, const py::object& face);
 
 /// abcal.simulate(...). @throws std::invalid_argument
 SimulatedRecord simulated(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset,

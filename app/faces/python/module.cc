@@ -112,12 +112,13 @@ void add_record(py::module_& m) {
           py::init(&record_of), "alpha_deg"_a, "readings"_a, "u"_a = py::none(), py::kw_only(),
           "experiment"_a = py::none(), "time_s"_a = py::none(), "response_unit"_a = "R", "estimator"_a = "",
           "g_loc"_a = py::none(), "u_g_loc"_a = 0.0, "g_loc_source"_a = "",
-          "effects"_a = std::map<std::string, double>{}, "source"_a = "arrays",
+          "effects"_a = std::map<std::string, double>{}, "source"_a = "arrays", "face"_a = py::none(),
           "From arrays.\n\nalpha_deg: desired angles in degrees, shape (N,) for all three experiments or (3, "
           "N); or (M,).\n"
           "readings: mean outputs u, v, w in the response unit, shape (3, N, 3); or (M, 3) with experiment.\n"
           "u: their standard uncertainties, same shape. experiment: 1, 2 or 3, shape (M,).\n"
-          "time_s: middle of each dwell, shape as alpha_deg. g_loc, u_g_loc: local gravity in m/s2.\n"
+          "time_s: middle of each dwell, face: 1 or 2 (none: all 1), shape as alpha_deg. g_loc, u_g_loc: "
+          "local gravity in m/s2.\n"
           "effects: standard uncertainties by their bench-file keys, e.g. {'wobble_urad': 20.0}.\n"
           "Raises ValueError with every problem.")
       .def_property_readonly("source", &Record::source)
@@ -126,6 +127,8 @@ void add_record(py::module_& m) {
       .def_property_readonly("flagged", &Record::flagged)
       .def_property_readonly("g_loc", &Record::g_loc_mps2, "m/s2; NaN: not known.")
       .def_property_readonly("experiment", [](const Record& r) { return copied(r.experiment()); })
+      .def_property_readonly(
+          "face", [](const Record& r) { return copied(r.face()); }, "1 or 2, shape (M,).")
       .def_property_readonly(
           "alpha_deg",
           [](const py::object& self) { return view_of(self.cast<const Record&>().alpha_deg(), self); },

@@ -155,6 +155,8 @@ struct BenchConfig {
   const BenchItemConfig& item(int k) const { return items.at(static_cast<std::size_t>(k) - 1); }
   BenchItemConfig& item(int k) { return items.at(static_cast<std::size_t>(k) - 1); }
   bool has_several_items() const { return items.size() > 1; }
+  /// Runs of several items and series over temperature are measured in one face.
+  bool allows_two_faces() const { return !has_several_items() && temperature.set_points_degc.empty(); }
 
   bool operator==(const BenchConfig&) const = default;
   /// Equal but for the warnings of the file that was read.

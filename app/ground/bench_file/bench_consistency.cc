@@ -17,6 +17,7 @@
 #include "drivers/instrument/driver_catalogue.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
+#include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -204,6 +205,18 @@ void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
     reader.add_problem("protocol.steps",
                        fmt::format("{} steps of {} deg", c.protocol.steps, c.protocol.step.deg()),
                        "(steps - 1) * step_deg < 360");
+  }
+  constexpr int kLeastInTwoFaces = 8;
+  if (c.protocol.faces == kFaces && (c.protocol.steps % kFaces != 0 || c.protocol.steps < kLeastInTwoFaces)) {
+    reader.add_problem("protocol.steps", fmt::format("{} with faces = 2", c.protocol.steps),
+                       fmt::format("an even number of at least {}: half of the angles belong to each face",
+                                   kLeastInTwoFaces));
+  }
+  if (c.protocol.faces == kFaces && !c.allows_two_faces()) {
+    reader.add_problem(
+        "protocol.faces",
+        c.has_several_items() ? "2 with several items" : "2 with [temperature] set_points_degc",
+        "faces = 1: several items and series over temperature are measured in one face");
   }
   const LimitsConfig& limits = c.items.front().limits;
   if (!(limits.temperature_min_degc < limits.temperature_max_degc)) {

@@ -8,6 +8,7 @@
 #include "app/ground/bench_file/effect_keys.h"
 #include "app/ground/bench_file/key_ranges.h"
 #include "drivers/instrument/driver_catalogue.h"
+#include "protocol/plan/faces.h"
 
 namespace abcal {
 namespace {
@@ -219,6 +220,7 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
   keys.integer("steps", p.steps, 4, 7200);
   keys.angle("step_deg", p.step, {0.0, 180.0, true});
+  keys.integer("faces", p.faces, 1, 2);
   keys.text("estimator", p.estimator, {kEstimatorNames.begin(), kEstimatorNames.end()});
   keys.boolean("closing_angle", p.closing_angle);
   keys.boolean("check_poses", p.check_poses);
@@ -408,6 +410,7 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
     visit_limits(keys, first.limits);
   }
   visit_notify(keys, c.notify);
+  c.simulation.stands_in_second_face = c.protocol.faces == kFaces;
   visit_simulation(keys, c.simulation, states_items ? &first.simulation : nullptr);
   visit_link(keys, c.link);
   visit_emulator(keys, c.emulator, states_items ? &first : nullptr);

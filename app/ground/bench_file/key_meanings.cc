@@ -144,6 +144,13 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"protocol.steps",
        {"N, the number of angles of each experiment. (`steps` - 1) x `step_deg` must be less than 360.", ""}},
       {"protocol.step_deg", {"D, the nominal rotation step.", ""}},
+      {"protocol.faces",
+       {"2: half of the angles of each experiment are measured with the axis that stands turned by half a "
+        "turn "
+        "more, in a second face, so that errors of the stage act with the opposite sign "
+        "([measurement](measurement.md#two-faces)). `steps` must then be even and at least 8. 1: as in the "
+        "published protocol.",
+        ""}},
       {"protocol.closing_angle",
        {"Measures the first angle of each experiment again, one turn on, to show drift.", ""}},
       {"protocol.check_poses",

@@ -13,6 +13,7 @@
 #include "app/laboratory/certificate/traceability.h"
 #include "app/results/estimates/held_out_words.h"
 #include "protocol/plan/effect_sizes.h"
+#include "protocol/plan/faces.h"
 
 namespace abcal {
 namespace {
@@ -169,6 +170,8 @@ void add_protocol(XmlElement& methods, const Certificate& certificate, const Rep
     add_real(quantity, value, unit, name.text);
   };
   add("abc_steps", words("Angles of each experiment"), data.record.steps, "\\one");
+  if (has_two_faces(data.record))
+    add("abc_faces", words("Faces, in each of which half of the angles are measured"), kFaces, "\\one");
   add("abc_step", words("Rotation step"), data.record.step.deg(), "\\degree");
   if (!data.bench) return;
   const ProtocolConfig& settled = data.bench->protocol;

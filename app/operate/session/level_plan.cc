@@ -7,7 +7,9 @@ namespace abcal {
 std::vector<PlannedAngle> level_plan(const ProtocolConfig& protocol,
                                      const std::array<AxisTravel, 2>& travel) {
   std::vector<PlannedAngle> plan;
-  for (const PlannedAngle& angle : make_rotation_plan(protocol, travel)) {
+  ProtocolConfig one_face = protocol;
+  one_face.faces = 1;
+  for (const PlannedAngle& angle : make_rotation_plan(one_face, travel)) {
     // Experiment 3 turns Z through the same angles, with X at -90 degrees instead of 0.
     if (angle.experiment == 3 && !angle.closing)
       plan.push_back({0, angle.n, false, angle.alpha, Angle{}, angle.z});

@@ -34,17 +34,15 @@ Json json_of(const std::optional<Value>& value) {
 }
 
 Json json_of(const PlannedAngle& angle) {
-  return {{"experiment", angle.experiment},
-          {"n", angle.n},
-          {"closing", angle.closing},
-          {"alpha_deg", json_of(angle.alpha)},
-          {"x_deg", json_of(angle.x)},
-          {"z_deg", json_of(angle.z)},
-          {"check", angle.check}};
+  return {{"experiment", angle.experiment}, {"n", angle.n},
+          {"closing", angle.closing},       {"alpha_deg", json_of(angle.alpha)},
+          {"x_deg", json_of(angle.x)},      {"z_deg", json_of(angle.z)},
+          {"check", angle.check},           {"face", angle.face}};
 }
 
 Json json_of(const DwellRecord& dwell) {
   return {{"experiment", dwell.experiment},
+          {"face", dwell.face},
           {"n", dwell.n},
           {"closing", dwell.closing},
           {"alpha_deg", json_of(dwell.alpha)},

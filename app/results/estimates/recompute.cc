@@ -55,8 +55,8 @@ std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const B
       return fmt::format("experiment {}, angle {} is not in the plan of the bench file", angle.experiment,
                          angle.n);
     const PlannedAngle& planned = found->second;
-    if (!same_direction(angle.alpha, planned.alpha) || !same_direction(angle.x, planned.x) ||
-        !same_direction(angle.z, planned.z))
+    if (angle.face != planned.face || !same_direction(angle.alpha, planned.alpha) ||
+        !same_direction(angle.x, planned.x) || !same_direction(angle.z, planned.z))
       return fmt::format("experiment {}, angle {} is not where the bench file has it", angle.experiment,
                          angle.n);
     if (!angle.closing) seen.insert({angle.experiment, angle.n});
@@ -79,7 +79,7 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
     const PlannedAngle& planned = plan[position];
     const std::string where = fmt::format("experiment {}, angle {}", planned.experiment, planned.n);
     if (dwell.experiment != planned.experiment || dwell.n != planned.n || dwell.closing != planned.closing ||
-        !same_direction(dwell.alpha, planned.alpha))
+        dwell.face != planned.face || !same_direction(dwell.alpha, planned.alpha))
       return where + ": the dwell is of another angle";
     if (!same_direction(dwell.commanded_x, planned.x) || !same_direction(dwell.commanded_z, planned.z))
       return where + ": was not commanded as planned";

@@ -155,6 +155,12 @@ Json published_json(const PublishedResult& published) {
   return json;
 }
 
+Json line_json(const LineResult& line) {
+  Json rows = Json::array();
+  for (const auto& row : line.sensitivity_matrix) rows.push_back(output_quantities(row));
+  return {{"sensitivity_matrix", std::move(rows)}, {"offset", output_quantities(line.offset)}};
+}
+
 }  // namespace
 
 nlohmann::ordered_json json_number(const std::optional<double>& value) {
@@ -185,12 +191,20 @@ Json result_json(const CalibrationResult& result) {
   json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
   json["diagnostics"] = diagnostics(result.diagnostics);
   json["default_effects"] = result.unstated_effects;
+  if (result.faces) {
+    for (std::size_t k = 0; k < result.faces->face.size(); ++k) {
+      json["faces"].push_back(line_json(result.faces->face[k]));
+      json["faces"].back()["face"] = k + 1;
+    }
+    json["face_difference"] = line_json(result.faces->difference);
+  }
   if (result.published) json["published"] = published_json(*result.published);
   if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {
     const JointResult& joint = *result.joint;
     json["alignment"] = quantities(joint.alignment);
     json["initial_turn_error"] = quantities(joint.initial_turn_error);
+    if (joint.turn_error_face_2) json["turn_error_face_2"] = quantities(*joint.turn_error_face_2);
     json["mean_step_error"] = quantities(joint.mean_step_error);
     json["step_error"] = Json::array();
     for (const auto& experiment : joint.step_error) json["step_error"].push_back(quantities(experiment));

@@ -66,6 +66,8 @@ void stage_errors(std::string& text, const JointResult& joint) {
   for (std::size_t k = 0; k < 3; ++k) row(text, kAlignment[k], joint.alignment[k]);
   row(text, "d2", joint.initial_turn_error[0]);
   row(text, "d3", joint.initial_turn_error[1]);
+  for (std::size_t i = 0; joint.turn_error_face_2 && i < 3; ++i)
+    row(text, fmt::format("d{} face 2", i + 1), (*joint.turn_error_face_2)[i]);
   row(text, "F_X", joint.mean_step_error[0]);
   row(text, "F_Z", joint.mean_step_error[1]);
   for (std::size_t i = 0; i < 3; ++i) {
@@ -92,6 +94,29 @@ void stage_errors(std::string& text, const JointResult& joint) {
   } else {
     text += "  k2, k3   left out: the readings show no non-linearity\n";
   }
+}
+
+/// The ABC result of each face, and the difference, which shows errors of the stage.
+std::string faces_text(const FaceResults& faces) {
+  std::string text = "\nBy each face alone (ABC); face 1 minus face 2 in standard uncertainties\n";
+  const auto add = [&](const std::string& name, const auto& of) {
+    const Quantity& difference = of(faces.difference);
+    const Quantity &first = of(faces.face[0]), &second = of(faces.face[1]);
+    const int decimals = decimals_for(first.standard_uncertainty);
+    text +=
+        fmt::format("  {:<8} {:>16} {:>16} {:>8.1f}  {}\n", name, with_decimals(first.value, decimals, true),
+                    with_decimals(second.value, decimals, true),
+                    difference.value / difference.standard_uncertainty, first.unit);
+  };
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k)
+      add(fmt::format("s_{}{}", kAccelerometers[j], kAxes[k]),
+          [&](const LineResult& line) -> const Quantity& { return line.sensitivity_matrix[j][k]; });
+  }
+  for (std::size_t j = 0; j < 3; ++j)
+    add(fmt::format("O_{}", kAccelerometers[j]),
+        [&](const LineResult& line) -> const Quantity& { return line.offset[j]; });
+  return text;
 }
 
 }  // namespace
@@ -251,6 +276,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
                         result.g_loc_source.empty() ? "source not stated" : result.g_loc_source);
   }
   add_outputs(text, result, stream);
+  if (result.faces) text += faces_text(*result.faces);
   if (result.published) text += published_text(*result.published);
   if (result.model_equation) add_model_equation(text, *result.model_equation);
   if (result.joint) stage_errors(text, *result.joint);

@@ -10,39 +10,54 @@ namespace abcal {
 PlanSearch::PlanSearch(PlanningBench bench, std::function<void(double)> progress)
     : bench_(std::move(bench)), progress_(std::move(progress)) {}
 
-void PlanSearch::begin_steps(std::size_t tried, int predictions) {
-  constexpr auto kCount = static_cast<double>(kTriedSteps.size());
-  part_ = static_cast<double>(tried) / kCount;
-  end_of_steps_ = static_cast<double>(tried + 1) / kCount;
+void PlanSearch::begin_circles(std::size_t tried, std::size_t count, int predictions) {
+  part_ = static_cast<double>(tried) / static_cast<double>(count);
+  end_of_circles_ = static_cast<double>(tried + 1) / static_cast<double>(count);
   part_of_prediction_ = 1.0 / predictions;
 }
 
-ProtocolConfig PlanSearch::protocol(int steps, int readings) const {
+ProtocolConfig PlanSearch::protocol(Circles circles, int readings) const {
   ProtocolConfig protocol = bench_.config.protocol;
-  protocol.steps = steps;
-  protocol.step = Angle::degrees(360.0 / steps);
+  protocol.steps = circles.steps;
+  protocol.step = Angle::degrees(360.0 / circles.steps);
+  protocol.faces = circles.faces;
   protocol.dwell_readings = readings;
   return protocol;
 }
 
-PlanDuration PlanSearch::duration(int steps, int readings) const {
-  const ProtocolConfig planned = protocol(steps, readings);
+std::vector<PlanSearch::Circles> PlanSearch::tried() const {
+  std::vector<Circles> circles;
+  for (const int steps : kTriedSteps) circles.push_back({steps, 1});
+  if (!bench_.config.allows_two_faces()) return circles;
+  try {
+    static_cast<void>(duration({kTriedInTwoFaces.back(), 2}, kLeastReadings));
+  } catch (const PlanError&) {
+    return circles;  // The travel does not allow it.
+  }
+  for (const int steps : kTriedInTwoFaces) circles.push_back({steps, 2});
+  return circles;
+}
+
+PlanDuration PlanSearch::duration(Circles circles, int readings) const {
+  const ProtocolConfig planned = protocol(circles, readings);
   return estimate_duration(make_rotation_plan(planned, bench_.travel), planned, bench_.speed,
                            bench_.config.items.front().accelerometer.settings.rate_hz);
 }
 
-const PlanPrediction& PlanSearch::predicted(int steps, int readings) {
-  const auto [place, is_new] = predicted_.try_emplace({steps, readings});
+const PlanPrediction& PlanSearch::predicted(Circles circles, int readings) {
+  const auto [place, is_new] = predicted_.try_emplace({circles, readings});
   if (is_new) {
-    place->second = predict_plan(bench_, protocol(steps, readings));
-    part_ = std::min(part_ + part_of_prediction_, end_of_steps_);
+    place->second = predict_plan(bench_, protocol(circles, readings));
+    part_ = std::min(part_ + part_of_prediction_, end_of_circles_);
     if (progress_) progress_(part_);
   }
   return place->second;
 }
 
-std::optional<int> PlanSearch::least_readings(int steps, const WantedValues& wanted) {
-  const auto reaches = [&](int readings) { return worst_ratio(predicted(steps, readings).u, wanted) <= 1.0; };
+std::optional<int> PlanSearch::least_readings(Circles circles, const WantedValues& wanted) {
+  const auto reaches = [&](int readings) {
+    return worst_ratio(predicted(circles, readings).u, wanted) <= 1.0;
+  };
   if (!reaches(kMostReadings)) return std::nullopt;
   int too_few = kLeastReadings - 1, enough = kMostReadings;
   // To 1 % of the dwell: the uncertainty is not known better.
@@ -54,9 +69,9 @@ std::optional<int> PlanSearch::least_readings(int steps, const WantedValues& wan
   return enough;
 }
 
-std::optional<int> PlanSearch::most_readings(int steps, double duration_s) const {
+std::optional<int> PlanSearch::most_readings(Circles circles, double duration_s) const {
   // Settling and whole periods of the mains depend on the readings too: not solved for, but searched.
-  const auto lasts = [&](int readings) { return duration(steps, readings).total_s() <= duration_s; };
+  const auto lasts = [&](int readings) { return duration(circles, readings).total_s() <= duration_s; };
   if (!lasts(kLeastReadings)) return std::nullopt;
   int few_enough = kLeastReadings, too_many = kMostReadings + 1;
   while (too_many - few_enough > 1) {
@@ -68,18 +83,19 @@ std::optional<int> PlanSearch::most_readings(int steps, double duration_s) const
 
 FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
   FoundPlan found;
-  for (std::size_t tried = 0; tried < kTriedSteps.size(); ++tried) {
-    const int steps = kTriedSteps[tried];
-    begin_steps(tried, kPredictionsOfShortest);
+  const std::vector<Circles> all = tried();
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    const Circles circles = all[i];
+    begin_circles(i, all.size(), kPredictionsOfShortest);
     // Longer than the best one even with the fewest readings: not worth a prediction.
-    if (found.plan && duration(steps, kLeastReadings).total_s() >= found.plan->duration.total_s()) continue;
-    const auto readings = least_readings(steps, wanted);
+    if (found.plan && duration(circles, kLeastReadings).total_s() >= found.plan->duration.total_s()) continue;
+    const auto readings = least_readings(circles, wanted);
     if (!readings) continue;
-    const PlanPrediction& plan = predicted(steps, *readings);
+    const PlanPrediction& plan = predicted(circles, *readings);
     if (!found.plan || plan.duration.total_s() < found.plan->duration.total_s()) found.plan = plan;
   }
   if (found.plan) return found;
-  const PlanPrediction& longest = predicted(kTriedSteps.back(), kMostReadings);
+  const PlanPrediction& longest = predicted({kTriedSteps.back(), 1}, kMostReadings);
   for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
     if (!wanted[group] || longest.u[group] <= *wanted[group]) continue;
     const auto output = static_cast<PlannedOutput>(group);
@@ -96,12 +112,13 @@ FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
 
 std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const WantedValues& wanted) {
   std::optional<PlanPrediction> best;
-  for (std::size_t tried = 0; tried < kTriedSteps.size(); ++tried) {
-    const int steps = kTriedSteps[tried];
-    begin_steps(tried, kPredictionsOfBestWithin);
-    const auto readings = most_readings(steps, duration_s);
+  const std::vector<Circles> all = tried();
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    const Circles circles = all[i];
+    begin_circles(i, all.size(), kPredictionsOfBestWithin);
+    const auto readings = most_readings(circles, duration_s);
     if (!readings) continue;
-    const PlanPrediction& plan = predicted(steps, *readings);
+    const PlanPrediction& plan = predicted(circles, *readings);
     if (!best || worst_ratio(plan.u, wanted) < worst_ratio(best->u, wanted)) best = plan;
   }
   return best;

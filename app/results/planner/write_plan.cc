@@ -38,11 +38,14 @@ void set_value(std::vector<std::string>& lines, const toml::table& protocol, con
 
 std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& protocol,
                           const std::string& source, const RecordLookup& lookup) {
-  const std::vector<std::pair<std::string, std::string>> values{
+  std::vector<std::pair<std::string, std::string>> values{
       {"steps", std::to_string(protocol.steps)},
       {"step_deg", fmt::format("{}", protocol.step.deg())},
       {"dwell_readings", std::to_string(protocol.dwell_readings)}};
   const toml::table root = toml::parse(bench_toml, source);
+  // A file that does not name the faces has one.
+  if (protocol.faces != 1 || root.at_path("protocol.faces"))
+    values.emplace_back("faces", std::to_string(protocol.faces));
   std::vector<std::string> lines = lines_of(bench_toml);
   if (const toml::table* table = root["protocol"].as_table()) {
     for (const auto& [key, value] : values) set_value(lines, *table, key, value);
@@ -56,6 +59,8 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
   BenchConfig wanted = parse_bench(bench_toml, source, lookup);
   wanted.protocol.steps = protocol.steps;
   wanted.protocol.step = protocol.step;
+  wanted.protocol.faces = protocol.faces;
+  wanted.simulation.stands_in_second_face = protocol.faces == 2;
   wanted.protocol.dwell_readings = protocol.dwell_readings;
   bool as_meant = false;
   try {
@@ -66,8 +71,8 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
   if (!as_meant) {
     throw std::runtime_error(
         fmt::format("{} cannot be changed by the program; set under [protocol]: steps = {}, step_deg = {}, "
-                    "dwell_readings = {}",
-                    source, protocol.steps, protocol.step.deg(), protocol.dwell_readings));
+                    "dwell_readings = {}, faces = {}",
+                    source, protocol.steps, protocol.step.deg(), protocol.dwell_readings, protocol.faces));
   }
   return changed;
 }

@@ -7,8 +7,8 @@
 
 namespace abcal {
 
-/// The text of a bench file with steps, step_deg and dwell_readings of `protocol`. Everything else, comments
-/// included, stays unchanged.
+/// The text of a bench file with steps, step_deg, dwell_readings and faces of `protocol`. Everything else,
+/// comments included, stays unchanged.
 /// @param source  for messages
 /// @param lookup  as read_bench() has it
 /// @throws std::runtime_error if the changed text would not read back as meant (a value over several lines,

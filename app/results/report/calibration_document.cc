@@ -205,6 +205,11 @@ Section method_section(const ReportData& data) {
       "each "
       "output by least squares, and the sensitivity matrix and the offsets follow from the coefficients.",
       record.steps, record.step.deg())});
+  if (has_two_faces(record)) {
+    section.blocks.push_back(Paragraph{
+        "In two faces: of each experiment every second angle is measured with the axis that stands turned by "
+        "180 degrees more, so that errors of the stage act on the item with the opposite sign."});
+  }
   if (data.bench) {
     const ProtocolConfig& p = data.bench->protocol;
     const auto [least_s, most_s] = data.settle_times_s();
@@ -216,8 +221,9 @@ Section method_section(const ReportData& data) {
     text += p.approach.deg() != 0.0
                 ? fmt::format("every angle is approached from below by {:g} degree; ", p.approach.deg())
                 : std::string("angles are approached from either side; ");
-    text += p.closing_angle ? "at the end of each experiment the first angle is measured again; "
-                            : "no closing angle; ";
+    const char* const circle = p.faces == 2 ? "face" : "experiment";
+    text += p.closing_angle ? fmt::format("at the end of each {} the first angle is measured again; ", circle)
+                            : std::string("no closing angle; ");
     if (p.check_poses) {
       text +=
           "two check poses, gravity along (1, 1, 1) and against it, are measured at the start, between the "
@@ -396,8 +402,22 @@ DocumentTable check_pose_table(const CheckPoseStudy& study, const std::string& u
   return table;
 }
 
-Section closures_section(const Diagnostics& d, const std::optional<CheckPoseStudy>& check_poses,
-                         const std::string& unit) {
+DocumentTable faces_table(const FaceResults& faces, const std::string& unit) {
+  DocumentTable table = check_table(
+      "ABC result of face 1 minus that of face 2; zero for a perfect stage. s per g_loc.", "result", unit);
+  constexpr std::array<const char*, 4> kNames{"s, x", "s, y", "s, z", "O"};
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t i = 0; i < kNames.size(); ++i)
+      add_check(table, kNames[i], static_cast<int>(j),
+                i < 3 ? faces.difference.sensitivity_matrix[j][i] : faces.difference.offset[j]);
+  }
+  return table;
+}
+
+Section closures_section(const CalibrationResult& result, const std::optional<CheckPoseStudy>& check_poses) {
+  const Diagnostics& d = result.diagnostics;
+  const std::optional<FaceResults>& faces = result.faces;
+  const std::string& unit = result.response_unit;
   Section section{"Closures", {}};
   if (!d.closures.empty()) {
     DocumentTable table = check_table(
@@ -408,6 +428,7 @@ Section closures_section(const Diagnostics& d, const std::optional<CheckPoseStud
       add_check(table, closure.name, closure.accelerometer, closure.value);
     section.blocks.push_back(std::move(table));
   }
+  if (faces) section.blocks.push_back(faces_table(*faces, unit));
   if (!d.closing_differences.empty()) {
     DocumentTable table =
         check_table("First angle measured again at the end of each experiment, minus the first reading.",
@@ -515,6 +536,8 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
   add("Xz", joint.alignment[2]);
   add("d_2", joint.initial_turn_error[0]);
   add("d_3", joint.initial_turn_error[1]);
+  for (std::size_t i = 0; joint.turn_error_face_2 && i < 3; ++i)
+    add(fmt::format("d_{}, face 2", i + 1), (*joint.turn_error_face_2)[i]);
   add("F_X", joint.mean_step_error[0]);
   add("F_Z", joint.mean_step_error[1]);
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("b_{}", kAccelerometers[j]), joint.drift[j]);
@@ -653,8 +676,8 @@ Section flags_section(const ReportData& data) {
   std::size_t count = 0;
   for (const DwellRecord& dwell : data.record.dwells) {
     if (dwell.flags == kFlagNone || ++count > kMostShown) continue;
-    flagged.rows.push_back({std::to_string(dwell.experiment), fmt::format("{:g}", dwell.alpha.deg()),
-                            describe_flags(dwell.flags)});
+    flagged.rows.push_back({fmt::format("{}{}", dwell.experiment, dwell.face == 2 ? ", face 2" : ""),
+                            fmt::format("{:g}", dwell.alpha.deg()), describe_flags(dwell.flags)});
   }
   if (count > kMostShown) flagged.rows.push_back({fmt::format("and {} more", count - kMostShown)});
   if (count > 0) {
@@ -724,8 +747,7 @@ Document calibration_document(const ReportData& data) {
     document.sections.push_back(estimators_section(data));
     // The fits of the published protocol show the stage, whichever estimator is reported.
     const CalibrationResult& published = result_of(data.results, kPublishedEstimator);
-    const Section closures =
-        closures_section(published.diagnostics, compared_check_poses(data.record), published.response_unit);
+    const Section closures = closures_section(published, compared_check_poses(data.record));
     if (!closures.blocks.empty()) document.sections.push_back(closures);
     if (!published.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {

@@ -80,8 +80,14 @@ std::string item_column(const ReportData& data, bool with_item) {
   return with_item ? fmt::format("{},", data.item) : std::string();
 }
 
+/// The cell of the last column, which only runs of two faces have.
+std::string face_cell(bool with_face, int face) {
+  return with_face ? fmt::format(",{}", face) : std::string();
+}
+
 /// @param left_out  increased by the number of angles without a finite mean
 std::string averaged_rows(const ReportData& data, bool with_item, int& left_out) {
+  const bool with_face = has_two_faces(data.record);
   std::string rows;
   for (const DwellRecord* each : dwells_in_time(data.record)) {
     const DwellRecord& dwell = *each;
@@ -97,11 +103,11 @@ std::string averaged_rows(const ReportData& data, bool with_item, int& left_out)
     const auto degrees = [](const std::optional<Angle>& angle) {
       return angle ? csv_number(angle->deg()) : std::string();
     };
-    rows +=
-        fmt::format(",{},{},{},{},{},{},{},{},{}\n", csv_number(dwell.time_s),
-                    dwell.count > 0 ? std::to_string(dwell.count) : "", csv_number(dwell.temperature_degc),
-                    dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z),
-                    csv_number(dwell.spread[0]), csv_number(dwell.spread[1]), csv_number(dwell.spread[2]));
+    rows += fmt::format(",{},{},{},{},{},{},{},{},{}{}\n", csv_number(dwell.time_s),
+                        dwell.count > 0 ? std::to_string(dwell.count) : "",
+                        csv_number(dwell.temperature_degc), dwell.flags, degrees(dwell.encoder_x),
+                        degrees(dwell.encoder_z), csv_number(dwell.spread[0]), csv_number(dwell.spread[1]),
+                        csv_number(dwell.spread[2]), face_cell(with_face, dwell.face));
   }
   return rows;
 }
@@ -151,8 +157,8 @@ std::string averaged_csv(std::span<const ReportData> items) {
          comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_*, spread_* response_unit; time_s s") +
          comment("flags", "sum of " + flags) + (with_item ? "item," : "") +
          "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"
-         "encoder_x_deg,encoder_z_deg,spread_u,spread_v,spread_w\n" +
-         rows;
+         "encoder_x_deg,encoder_z_deg,spread_u,spread_v,spread_w" +
+         (has_two_faces(items.front().record) ? ",face\n" : "\n") + rows;
 }
 
 void write_raw_csv(std::span<const ReportData> items, const std::filesystem::path& path) {
@@ -162,6 +168,7 @@ void write_raw_csv(std::span<const ReportData> items, const std::filesystem::pat
     throw std::invalid_argument(
         fmt::format("{}: a CSV of averaged readings has no single readings", first.path.string()));
   }
+  const bool with_face = has_two_faces(first.record);
   std::ofstream file(path, std::ios::binary | std::ios::trunc);
   for (const ReportData& data : items) {
     const std::string own = comments(data, "single readings as the accelerometer delivered them");
@@ -169,17 +176,18 @@ void write_raw_csv(std::span<const ReportData> items, const std::filesystem::pat
   }
   file << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
        << (with_item ? "item," : "")
-       << "experiment,n,closing,alpha_deg,repeat,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
+       << "experiment,n,closing,alpha_deg,repeat,sequence,time_s,r_u,r_v,r_w,temperature_degc"
+       << (with_face ? ",face\n" : "\n");
   RunFile::read_dwells(
       first.path,
       [&](const StoredDwell& dwell) {
         for (const StoredReading& r : dwell.readings) {
           if (with_item) file << dwell.item << ',';
-          file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
+          file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}{}\n", dwell.experiment, dwell.n,
                               dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
                               r.sequence, csv_number(r.time_s), csv_number(r.output[0]),
                               csv_number(r.output[1]), csv_number(r.output[2]),
-                              csv_number(r.temperature_degc));
+                              csv_number(r.temperature_degc), face_cell(with_face, dwell.face));
         }
       },
       with_item ? 0 : first.item);

@@ -137,7 +137,7 @@ Attributes plotted(const std::string& signal, const std::string& axis) {
 void put_averaged(const Group& entry, const RunRecord& record) {
   const Group data = group(entry, "averaged", "NXdata", plotted("response", "alpha"));
   std::vector<double> alpha, response, errors, spread, time, settle, temperature, encoder;
-  std::vector<std::int64_t> experiment, n, closing, count, lost, flags;
+  std::vector<std::int64_t> experiment, n, closing, count, lost, flags, face;
   const auto degrees = [](const std::optional<Angle>& angle) {
     return angle ? angle->deg() : std::numeric_limits<double>::quiet_NaN();
   };
@@ -148,6 +148,7 @@ void put_averaged(const Group& entry, const RunRecord& record) {
     count.push_back(dwell.count);
     lost.push_back(dwell.lost);
     flags.push_back(dwell.flags);
+    face.push_back(dwell.face);
     alpha.push_back(dwell.alpha.deg());
     time.push_back(or_nan(dwell.time_s));
     settle.push_back(dwell.settle_time_s);
@@ -172,6 +173,7 @@ void put_averaged(const Group& entry, const RunRecord& record) {
   put(data, "temperature", temperature, {size}, {"degree_Celsius", "temperature of the sensor"});
   put(data, "experiment", experiment, "rotation experiment 1, 2, 3");
   put(data, "n", n, "index of the angle from 1");
+  put(data, "face", face, "1, or 2: the axis that stands is turned by 180 degrees more");
   put(data, "closing", closing, "1: the first angle measured again, not part of the fits");
   put(data, "count", count, "readings averaged");
   put(data, "lost", lost, "readings lost");
@@ -247,6 +249,7 @@ void put_readings(const Group& entry, const ReportData& data) {
   Wholes sequence(readings, "sequence", 1, {kNoUnit, "count of the accelerometer; a gap is a loss"});
   Wholes experiment(readings, "experiment", 1, {kNoUnit, "rotation experiment 1, 2, 3"});
   Wholes n(readings, "n", 1, {kNoUnit, "index of the angle from 1"});
+  Wholes face(readings, "face", 1, {kNoUnit, "1, or 2: the axis that stands is turned by 180 degrees more"});
   Wholes closing(readings, "closing", 1, {kNoUnit, "1: the first angle measured again"});
   Wholes repeat(readings, "repeat", 1, {kNoUnit, "1: measured again for comparison; the first counts"});
   RunFile::read_dwells(
@@ -269,6 +272,7 @@ void put_readings(const Group& entry, const ReportData& data) {
         sequence.append(std::move(sequences));
         experiment.append(same(dwell.experiment));
         n.append(same(dwell.n));
+        face.append(same(dwell.face));
         closing.append(same(dwell.closing ? 1 : 0));
         repeat.append(same(dwell.repeat ? 1 : 0));
       },

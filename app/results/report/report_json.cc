@@ -138,6 +138,7 @@ Json flagged_json(const RunRecord& record) {
     list.push_back({{"experiment", dwell.experiment},
                     {"n", dwell.n},
                     {"closing", dwell.closing},
+                    {"face", dwell.face},
                     {"alpha_deg", dwell.alpha.deg()},
                     {"flags", describe_flags(dwell.flags)}});
   }

@@ -11,6 +11,7 @@
 
 #include "app/ground/document/gnuplot.h"
 #include "app/ground/document/number_text.h"
+#include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -56,6 +57,13 @@ AxisPower axis_power(double largest) {
   return {exponent, std::pow(10.0, exponent)};
 }
 
+/// Angle of a dwell on the axis of the figure, on which the fits of both faces are one curve.
+Angle plotted_angle(const DwellRecord& dwell) {
+  if (dwell.face == 1) return dwell.alpha;
+  const double deg = angle_in_face_1(dwell.experiment, dwell.face, dwell.alpha).deg();
+  return Angle::degrees(deg - 360.0 * std::floor(deg / 360.0));
+}
+
 const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, int accelerometer) {
   for (const FitDiagnostic& fit : result.diagnostics.fits) {
     if (fit.experiment == experiment && fit.accelerometer == accelerometer) return &fit;
@@ -76,14 +84,15 @@ Figure response_figure(const ReportData& data, int experiment) {
   bool with_u = false;
   for (const DwellRecord& dwell : data.record.dwells) {
     if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
-    readings += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n", dwell.alpha.deg(), dwell.mean[0],
-                            dwell.mean[1], dwell.mean[2]);
+    const Angle alpha = plotted_angle(dwell);
+    readings += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n", alpha.deg(), dwell.mean[0], dwell.mean[1],
+                            dwell.mean[2]);
     Residual& residual = left_over.emplace_back();
-    residual.alpha_deg = dwell.alpha.deg();
+    residual.alpha_deg = alpha.deg();
     for (int j = 0; j < 3; ++j) {
       const FitDiagnostic* fit = find_fit(result, experiment, j);
       if (fit == nullptr) return {experiment_title(experiment) + ": no fit", "", 10};
-      const SinCos at = sincos(dwell.alpha);
+      const SinCos at = sincos(alpha);
       const auto output = static_cast<std::size_t>(j);
       residual.value[output] =
           dwell.mean[j] - (fit->sine.value * at.sin + fit->cosine.value * at.cos + fit->constant.value);
@@ -130,12 +139,16 @@ Figure response_figure(const ReportData& data, int experiment) {
                           style.point, style.colour, style.name, j < 2 ? ", " : "\n");
   }
   script += "unset multiplot\n";
-  return {fmt::format("{}. Left: averaged readings and fitted curves; right: readings minus fit{}.",
-                      experiment_title(experiment),
-                      with_u ? fmt::format(", bars: k = {:g} times the standard uncertainty of the mean",
-                                           kCoverageFactor)
-                             : std::string()),
-          script, 220};
+  return {
+      fmt::format(
+          "{}. Left: averaged readings and fitted curves; right: readings minus fit{}{}.",
+          experiment_title(experiment),
+          with_u ? fmt::format(", bars: k = {:g} times the standard uncertainty of the mean", kCoverageFactor)
+                 : std::string(),
+          has_two_faces(data.record) ? "; readings of face 2 stand at the angle at which the item "
+                                       "sees the same gravity in face 1"
+                                     : ""),
+      script, 220};
 }
 
 namespace {

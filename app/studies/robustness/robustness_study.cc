@@ -176,6 +176,7 @@ SimulatedRun simulate_run(const ScenarioBench& bench) {
   ProtocolConfig protocol;
   protocol.steps = bench.steps;
   protocol.step = record.step;
+  protocol.faces = bench.faces;
   protocol.check_poses = false;  // A violated assumption must show in the experiments themselves.
   const std::vector<PlannedAngle> plan = make_rotation_plan(protocol, {});
 

@@ -12,9 +12,9 @@ namespace {
 using Eigen::Vector3d;
 using Change = std::function<void(ScenarioBench&, ScenarioDraw&)>;
 
-/// Whole run, first to last angle, in seconds: three circles and their closing angles.
+/// Whole run, first to last angle, in seconds: the circles and their closing angles.
 double run_time_s(const ScenarioBench& b) {
-  return (3 * (b.steps + 1) - 1) * b.angle_period_s;
+  return (3 * (b.steps + b.faces) - 1) * b.angle_period_s;
 }
 
 Change both(Change first, Change second) {
@@ -452,6 +452,7 @@ ScenarioBench draw_bench(const Scenario& scenario, std::uint64_t seed, std::uint
   b.truth.seed = draw.seed_for_the_world();
   scenario.change(b, draw);
   b.truth.noise = b.noise;
+  b.truth.stands_in_second_face = b.faces == 2;
   b.truth.span_s = run_time_s(b);
   return b;
 }

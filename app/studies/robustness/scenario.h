@@ -27,6 +27,7 @@ struct ScenarioBench {
   sim::BenchTruth truth;
   EffectSizes stated;
   int steps = 72;              ///< N
+  int faces = 1;               ///< 1 or 2 (protocol/plan/faces.h).
   double noise = 1e-5;         ///< R, white noise of a mean.
   double stated_noise = 1e-5;  ///< R, stated with a mean; 0: none is stated.
   double scale = 1.0;          ///< Response units per g_loc of a near-unit item.

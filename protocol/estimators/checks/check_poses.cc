@@ -57,8 +57,8 @@ std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
         !std::isfinite(dwell.alpha.rad()))
       continue;
     const SinCos alpha = sincos(dwell.alpha);
-    gravity.push_back(
-        gravity_alone(StagePose::of(dwell.experiment, alpha.sin, alpha.cos), StageInputs::Zero()));
+    gravity.push_back(gravity_alone(StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos),
+                                    StageInputs::Zero()));
     readings.push_back(dwell.mean);
     for (std::size_t j = 0; j < 3; ++j) u[j].push_back((*dwell.u_mean)(static_cast<Eigen::Index>(j)));
   }

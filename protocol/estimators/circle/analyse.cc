@@ -19,6 +19,7 @@
 #include "protocol/estimators/circle/first_order.h"
 #include "protocol/estimators/circle/harmonic_fit.h"
 #include "protocol/estimators/circle/sensitivity_matrix.h"
+#include "protocol/estimators/circle/two_faces.h"
 #include "protocol/estimators/shared/flagged_angles.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/run_time.h"
@@ -26,6 +27,7 @@
 #include "protocol/estimators/shared/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/singular_values.h"
+#include "protocol/plan/faces.h"
 
 namespace abcal {
 
@@ -105,7 +107,7 @@ SeriesTable series_of(const Selection& selection) {
     for (int j = 0; j < 3; ++j) {
       ReadingSeries& series = table[static_cast<std::size_t>(3 * (dwell.experiment - 1) + j)];
       series.place_of[i] = static_cast<int>(series.readings.size());
-      series.alpha.push_back(dwell.alpha);
+      series.alpha.push_back(angle_in_face_1(dwell.experiment, dwell.face, dwell.alpha));
       series.readings.push_back(dwell.mean(j));
       if (selection.with_uncertainty) series.u.push_back((*dwell.u_mean)(j));
     }
@@ -578,6 +580,32 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
   }
 }
 
+void fill_faces(const RunRecord& record, const Selection& selection, const Estimate& estimate,
+                CalibrationResult& result, Objections& objections) {
+  if (!has_two_faces(record)) return;
+  try {
+    result.faces =
+        results_of_faces({selection.dwells, estimate.cleaned, estimate.cleaned_fits, &*estimate.curvature,
+                          estimate.effects, estimate.reading_variance, estimate.outputs, estimate.resolution,
+                          result.response_unit, (*result.sensitivity_matrix)[0][0].unit});
+  } catch (const UndeterminedFit& error) {
+    result.diagnostics.notes.push_back(fmt::format("the two faces were not compared: {}", error.what()));
+    return;
+  }
+  static constexpr std::array<const char*, 4> kNames{"s_{}x", "s_{}y", "s_{}z", "O_{}"};
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t i = 0; i < kNames.size(); ++i) {
+      const LineResult& of = result.faces->difference;
+      const Quantity& difference = i < 3 ? of.sensitivity_matrix[j][i] : of.offset[j];
+      if (!contradicts_zero(difference, degrees_of_readings(estimate, j), response_scale(estimate, j)))
+        continue;
+      objections.add(fmt::format("{} of face 1 and of face 2 differ by {} (the stage)",
+                                 fmt::format(fmt::runtime(kNames[i]), kAccelerometerNames[j]),
+                                 times_uncertainty(difference)));
+    }
+  }
+}
+
 // Harmonics of the second fit with their uncertainties, from readings (type A) and tolerances (type B).
 std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const Eigen::MatrixXd& by_dwell,
                                    std::size_t output, const Estimate& estimate) {
@@ -988,6 +1016,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   fill_flags(record, selection, result, objections);
   fill_fits(estimate, result, objections);
   fill_closures(estimate, result, objections);
+  fill_faces(record, selection, estimate, result, objections);
   fill_closing_differences(selection, estimate, result, objections);
   judge_matrix(estimate, objections);
   judge_effects(record, estimate, result, objections);

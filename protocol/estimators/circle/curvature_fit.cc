@@ -32,7 +32,7 @@ CurvatureFit::CurvatureFit(std::span<const DwellRecord* const> dwells, std::span
     const DwellRecord& dwell = *dwells[static_cast<std::size_t>(n)];
     const SinCos alpha = sincos(dwell.alpha);
     const Eigen::Vector3d g =
-        gravity_alone(StagePose::of(dwell.experiment, alpha.sin, alpha.cos), StageInputs::Zero());
+        gravity_alone(StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), StageInputs::Zero());
     for (int j = 0; j < 3; ++j) {
       const double size = s.row(j).norm();
       const double y = s.row(j).dot(g) / size;

@@ -20,6 +20,7 @@ inline constexpr double kContradictionLevel = kFalseAlarmDeviate;
 struct ReadingSeries {
   int experiment = 0;     ///< 1, 2, 3
   int accelerometer = 0;  ///< 0, 1, 2 = u, v, w
+  /// Where the reading is taken in face 1, or would be to see the same gravity (angle_in_face_1()).
   std::vector<Angle> alpha;
   std::vector<double> readings;  ///< R
   std::vector<double> u;         ///< Standard uncertainty of each (R); empty: not known.

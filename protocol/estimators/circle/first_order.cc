@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -28,7 +29,7 @@ EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<con
   const Eigen::Matrix3d rows = s.rowwise().normalized();
   for (std::size_t i = 0; i < dwells.size(); ++i) {
     const SinCos alpha = sincos(dwells[i]->alpha);
-    out.poses.push_back(StagePose::of(dwells[i]->experiment, alpha.sin, alpha.cos));
+    out.poses.push_back(StagePose::of(dwells[i]->experiment, dwells[i]->face, alpha.sin, alpha.cos));
     out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
     ItemPoint point{time_fractions[i], rows * out.gravity.back().g, Eigen::Vector3d::Zero()};
     if (i > 0) point.came_from = signs_of_change(out.points.back().y, point.y);
@@ -47,6 +48,9 @@ std::pair<std::string, double> shown_unit(const StageEffect& effect) {
 void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
                        std::vector<InputEffect>& effects) {
   for (const StageEffect& entry : stage_effects()) {
+    const bool in_run =
+        std::ranges::any_of(places.poses, [&](const StagePose& pose) { return pose.face >= entry.face; });
+    if (!in_run) continue;
     const auto [unit, size] = shown_unit(entry);
     for (int i = 0; i < entry.count; ++i) {
       const std::string which = entry.unknown_name(i);

@@ -212,7 +212,7 @@ bool TrayAnalysis::fit_members() {
   std::vector<TrayAngle> angles;
   for (const DwellRecord* angle : angles_.angles()) {
     const SinCos alpha = sincos(angle->alpha);
-    angles.push_back({angle->experiment, alpha.sin, alpha.cos});
+    angles.push_back({angle->experiment, alpha.sin, alpha.cos, angle->face});
   }
   for (const std::size_t k : members_) members.push_back({&*own_[k].solution, angles_.of(own_[k].data)});
   fit_ = fit_tray(members, angles);

@@ -38,11 +38,22 @@ std::pair<int, long long> pose_of(const DwellRecord& dwell) {
   return {dwell.experiment == 3 ? 1 : 0, std::llround(turn * 1e6) % 360'000'000LL};
 }
 
+/// In units of `step_deg`: so large that the angle of such a dwell tells nothing of the stage.
+constexpr double kFreeStep = 100.0;
+
+/// Whether the step error of a dwell is drawn without regard to others. The axis repeats some unknown part of
+/// it where it comes again: at a closing angle that of the first angle, and at 0 degrees, where a map has its
+/// zero, -F in every experiment.
+bool is_independent_step(const DwellRecord& dwell) {
+  return !dwell.closing && pose_of(dwell).second != 0;
+}
+
 }  // namespace
 
 CollectedReadings collect_readings(const RunRecord& record, bool one_map_per_axis) {
   CollectedReadings data;
   const std::vector<double> times = run_time_fractions(record);
+  const bool two_faces = has_two_faces(record);
   bool all_known = true;
   std::map<std::pair<int, long long>, int> maps;
   for (std::size_t i = 0; i < record.dwells.size(); ++i) {
@@ -76,6 +87,8 @@ CollectedReadings collect_readings(const RunRecord& record, bool one_map_per_axi
     all_known = all_known && dwell.u_mean && dwell.u_mean->minCoeff() > 0.0;
     const SinCos alpha = sincos(dwell.alpha);
     EffectReading reading{dwell.experiment, alpha.sin, alpha.cos, times[i], dwell.mean};
+    reading.face = dwell.face;
+    if (two_faces && !is_independent_step(dwell)) reading.step_factor = kFreeStep;
     if (dwell.u_mean) reading.u = *dwell.u_mean;
     if (one_map_per_axis)
       reading.map = maps.try_emplace(pose_of(dwell), static_cast<int>(maps.size())).first->second;

@@ -114,8 +114,10 @@ void fill_residuals(const EffectModel& model, const AtNoise& best, const Eigen::
     const Eigen::Vector3d v = angles[n].by_step;
     const double f = variance * v.dot(left.col(0).segment<3>(3 * at));
     const double u2 = variance - variance * variance * told(at);
-    fit.step_error[n] = f;
-    fit.u_step_error[n] = std::sqrt(std::max(0.0, u2));
+    const double factor = model.step_factor(n);
+    fit.step_error[n] = factor * f;
+    fit.u_step_error[n] = factor * std::sqrt(std::max(0.0, u2));
+    fit.step_factor.push_back(factor);
     if (const int map = model.map_of(n); map >= 0) {
       const Eigen::Index place = model.layout().first_map() + map;
       fit.step_error[n] = fit.value(place);

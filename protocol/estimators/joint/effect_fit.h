@@ -22,6 +22,9 @@ struct EffectReading {
   Eigen::Vector3d value = Eigen::Vector3d::Zero();  ///< r_u, r_v, r_w (R)
   Eigen::Vector3d u = Eigen::Vector3d::Zero();      ///< Their standard uncertainties (R).
   int map = -1;  ///< One step error for all readings with the same number; -1: one of its own.
+  int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
+  /// Its step error of its own is this times an unknown of the size `step_deg` (collect_readings.h).
+  double step_factor = 1.0;
 };
 
 struct EffectFitOptions {
@@ -99,6 +102,7 @@ struct EffectFit {
   double reciprocal_condition = 0.0;
   std::vector<double> step_error;          ///< f of each reading (radian), without mean and smooth part.
   std::vector<double> u_step_error;        ///< radian
+  std::vector<double> step_factor;         ///< EffectReading::step_factor of each reading.
   std::vector<Eigen::Vector3d> residuals;  ///< Reading minus model, step error included (R).
   std::vector<Eigen::Vector3d> whitened;   ///< Residuals whitened by the noise found; of variance ~ 1.
 };

@@ -76,6 +76,11 @@ const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effec
   return nullptr;
 }
 
+bool EffectModel::is_in_run(const StageEffect& effect) const {
+  return std::any_of(readings_.begin(), readings_.end(),
+                     [&](const EffectReading& at) { return at.face >= effect.face; });
+}
+
 /// Effects that are stated as zero are known exactly, and left out.
 void EffectModel::choose_unknowns() {
   const EffectSizes& sizes = options_.sizes;
@@ -84,6 +89,7 @@ void EffectModel::choose_unknowns() {
     for (int i = 0; i < effect.count; ++i) layout_.own.push_back({&effect, i});
   }
   for (const StageEffect& effect : stage_effects()) {
+    if (!is_in_run(effect)) continue;
     const auto* of_effect = measured(effect.name);
     const bool known = !(effect.prior(sizes) > 0.0) && !(of_effect != nullptr && *of_effect);
     if (known || (effect.key == "zero_deg" && !options_.mean_step)) continue;
@@ -153,7 +159,7 @@ void EffectModel::start_from_linear_fit() {
   poses_.reserve(readings_.size());
   shares_.reserve(readings_.size() * layout_.stage.size());
   for (const EffectReading& at : readings_) {
-    poses_.push_back(StagePose::of(at.experiment, at.sin_alpha, at.cos_alpha));
+    poses_.push_back(StagePose::of(at.experiment, at.face, at.sin_alpha, at.cos_alpha));
     gravity.push_back(gravity_alone(poses_.back(), perfect));
     values.push_back(at.value);
     for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
@@ -254,7 +260,7 @@ StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
   }
   const int map = map_of(n);
   inputs(moving_angle_input(readings_[n].experiment)) +=
-      map >= 0 ? value(layout_.first_map() + map) : steps[n];
+      map >= 0 ? value(layout_.first_map() + map) : steps[n] * readings_[n].step_factor;
   return inputs;
 }
 
@@ -335,7 +341,7 @@ void EffectModel::evaluate() {
   const Eigen::Matrix3d at_value = rows();
   for (std::size_t n = 0; n < readings_.size(); ++n) {
     const At model = evaluate_at(n, at_value);
-    by_step_[n] = model.by_step;
+    by_step_[n] = model.by_step * readings_[n].step_factor;
     residual_.segment<3>(3 * static_cast<Eigen::Index>(n)) =
         readings_[n].value.cwiseQuotient(unit_) - model.reading + by_step_[n] * step_[n];
   }
@@ -441,6 +447,7 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
     }
   }
   for (const StageEffect& effect : stage_effects()) {
+    if (!is_in_run(effect)) continue;
     const auto* of_effect = measured(effect.name);
     if (effect.prior(options_.sizes) > 0.0 || (of_effect != nullptr && *of_effect)) continue;
     for (int i = 0; i < effect.count; ++i) {

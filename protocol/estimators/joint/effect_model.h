@@ -75,6 +75,7 @@ class EffectModel {
   /// Number of the shared step error of a reading; -1: none.
   int map_of(std::size_t n) const { return layout_.maps > 0 ? readings_[n].map : -1; }
   int experiment_of(std::size_t n) const { return readings_[n].experiment; }
+  double step_factor(std::size_t n) const { return readings_[n].step_factor; }
 
   /// @param white  standard deviations of the outputs' white noise, over the u given
   std::vector<NoiseAtAngle> noise_at_angles(const Eigen::Vector3d& white) const;
@@ -125,6 +126,7 @@ class EffectModel {
   void choose_unknowns();
   void list_unknowns();
   EffectUnknown stage_unknown(const StageEffect& effect, int index) const;
+  bool is_in_run(const StageEffect& effect) const;
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_directions();

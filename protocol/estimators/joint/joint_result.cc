@@ -160,6 +160,8 @@ JointResult joint_outputs(const EffectFit& fit, const std::string& unit) {
     return unknown_quantity(fit, place_of(fit, name, -1), kDegreesPerRadian, "degree");
   };
   out.initial_turn_error = {angle("d2"), angle("d3")};
+  if (place_of(fit, "d1, face 2", -1) >= 0)
+    out.turn_error_face_2 = {angle("d1, face 2"), angle("d2, face 2"), angle("d3, face 2")};
   out.mean_step_error = {angle("F_X"), angle("F_Z")};
   for (int j = 0; j < 3; ++j) {
     const auto at = static_cast<std::size_t>(j);

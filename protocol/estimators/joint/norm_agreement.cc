@@ -44,7 +44,8 @@ class ModelReadings {
     for (int j = 0; j < 3; ++j) line_.row(j) = fit.line.segment<3>(3 * j).transpose();
     rows_ = fit.unit.cwiseInverse().asDiagonal() * line_;
     for (std::size_t n = 0; n < readings.size(); ++n) {
-      poses_.push_back(StagePose::of(readings[n].experiment, readings[n].sin_alpha, readings[n].cos_alpha));
+      poses_.push_back(StagePose::of(readings[n].experiment, readings[n].face, readings[n].sin_alpha,
+                                     readings[n].cos_alpha));
       gravity_.push_back(gravity_at(poses_.back(), StageInputs::Zero()));
       ItemPoint point{readings[n].t, rows_ * gravity_.back().g, Eigen::Vector3d::Zero()};
       if (n > 0) point.came_from = signs_of_change(points_.back().y, point.y);

@@ -580,7 +580,7 @@ void Tray::fill_angle_errors(TrayFit& out) const {
   Eigen::Vector3d in_experiment = Eigen::Vector3d::Zero();
   for (Eigen::Index a = 0; a < count; ++a) {
     const TrayAngle& angle = angles_[static_cast<std::size_t>(a)];
-    const StagePose pose = StagePose::of(angle.experiment, angle.sin_alpha, angle.cos_alpha);
+    const StagePose pose = StagePose::of(angle.experiment, angle.face, angle.sin_alpha, angle.cos_alpha);
     const int moving = moving_angle_input(angle.experiment);
     for (std::size_t i = 0; i < unknowns.size(); ++i) {
       const StageShare share = unknowns[i].effect->share(pose, unknowns[i].index);

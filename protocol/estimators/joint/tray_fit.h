@@ -20,6 +20,7 @@ struct TrayMember {
 struct TrayAngle {
   int experiment = 0;  ///< 1, 2, 3
   double sin_alpha = 0.0, cos_alpha = 1.0;
+  int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
 };
 
 /// The common fit of several items on one stage.

@@ -170,7 +170,9 @@ struct NormAgreement {
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
   std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
-  std::array<Quantity, 2> mean_step_error;     ///< F_X, F_Z (degree)
+  /// Of the turns to the second face before experiments 1, 2, 3 (degree); only in a run of two faces.
+  std::optional<std::array<Quantity, 3>> turn_error_face_2;
+  std::array<Quantity, 2> mean_step_error;  ///< F_X, F_Z (degree)
   std::array<std::vector<Quantity>, 3>
       step_error;                    ///< f_i(n) (degree): [i - 1][n - 1]; NaN where not measured.
   std::array<Quantity, 3> drift;     ///< b_j (R over the run)
@@ -202,6 +204,18 @@ struct PublishedResult {
   std::array<Quantity, 3> intrinsic_angle;
   Covariance12 covariance = Covariance12::Zero();          ///< Type A, where it is known, and type B.
   Covariance9 covariance_intrinsic = Covariance9::Zero();  ///< Likewise; phi in degrees.
+};
+
+/// A line response: rows u v w of the sensitivity matrix, and the offset.
+struct LineResult {
+  std::array<std::array<Quantity, 3>, 3> sensitivity_matrix;  ///< As in CalibrationResult.
+  std::array<Quantity, 3> offset;
+};
+
+/// The ABC result of each of two faces, from its own angles (docs/measurement.md, "Two faces").
+struct FaceResults {
+  std::array<LineResult, 2> face;
+  LineResult difference;  ///< Face 1 minus face 2; zero for a perfect stage.
 };
 
 /// Results that only the norm estimator gives.
@@ -246,6 +260,7 @@ struct CalibrationResult {
   std::optional<JointResult> joint;
   std::optional<NormResult> norm;
   std::optional<PublishedResult> published;  ///< Only of the ABC estimator.
+  std::optional<FaceResults> faces;          ///< Only of the ABC estimator, for a run of two faces.
 
   /// The values of sensitivity_matrix as numbers; NaN where there is none.
   Eigen::Matrix3d sensitivity_values() const;

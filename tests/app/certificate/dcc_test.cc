@@ -183,6 +183,17 @@ TEST_F(DccTest, EveryRowOfTheBudgetHasASourceAndDegreesOfFreedom) {
   EXPECT_THAT(page, AllOf(HasSubstr("survey of 2025"), HasSubstr("the readings of this run")));
 }
 
+TEST_F(DccTest, TheMethodNamesTwoFaces) {
+  const std::string faces = "//dcc:usedMethodQuantity[@refType='abc_faces']";
+  EXPECT_TRUE(CertificateXml(xml_text(dcc_document(certificate()))).texts(faces + "//si:value").empty());
+  CertificateRequest asked = request();
+  for (DwellRecord& dwell : asked.run.record.dwells) dwell.face = dwell.n % 2 == 0 ? 2 : 1;
+  const std::string text = xml_text(dcc_document(make_certificate(std::move(asked))));
+  EXPECT_THAT(CertificateXml(text).texts(faces + "//si:value"), testing::ElementsAre("2"));
+  EXPECT_THAT(document_text(certificate_page(text), stderr),
+              HasSubstr("Faces, in each of which half of the angles are measured"));
+}
+
 // A check of U, and no result: in XML and on the page, in either language, with the digits of one rounding.
 TEST_F(DccTest, TheMagnitudeOnHeldOutPosesIsOnTheCertificate) {
   for (const char* language : {"en", "de"}) {

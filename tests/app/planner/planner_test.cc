@@ -317,6 +317,30 @@ TEST(PlanSearchTest, TheProgressOfAQuestionGrowsToItsEnd) {
   EXPECT_NEAR(parts.back(), 1.0, 1e-12);
 }
 
+// Five minutes: six circles of six angles determine what three of twelve do not.
+TEST(PlanSearchTest, TwoFacesAreChosenWhereTheyGainAndTheTravelAllowsThem) {
+  PlanningBench wide = bench();
+  const WantedValues phi{std::nullopt, std::nullopt, std::nullopt, 1e-4};
+  const auto two = PlanSearch(wide).best_within(400.0, phi);
+  ASSERT_TRUE(two);
+  EXPECT_EQ(two->protocol.faces, 2);
+  PlanningBench narrow = bench();
+  narrow.travel[1] = {Angle::degrees(-179.0), Angle::degrees(179.0)};
+  const auto one = PlanSearch(narrow).best_within(400.0, phi);
+  ASSERT_FALSE(one && one->protocol.faces == 2);
+}
+
+TEST(WritePlanTest, WritesTheFacesWhereThereAreTwoOrTheFileNamesThem) {
+  ProtocolConfig protocol;
+  protocol.steps = 16;
+  protocol.step = Angle::degrees(22.5);
+  protocol.faces = 2;
+  const std::string two = with_protocol(kBench, protocol, "bench.toml");
+  EXPECT_THAT(two, HasSubstr("faces = 2"));
+  protocol.faces = 1;
+  EXPECT_THAT(with_protocol(two, protocol, "bench.toml"), HasSubstr("faces = 1"));
+}
+
 TEST(PlanSearchTest, NothingFitsIntoASecond) {
   PlanSearch search(bench());
   EXPECT_FALSE(search.best_within(1.0, published_wanted()));

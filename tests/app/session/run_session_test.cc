@@ -147,6 +147,42 @@ TEST_F(RunSessionTest, AStopLeavesARunThatIsResumedToTheSameBits) {
   EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
 }
 
+TEST_F(RunSessionTest, ARunOfTwoFacesIsResumedInTheSecondFaceAndAnalysedByFace) {
+  bench_toml.replace(bench_toml.find("steps = 5\nstep_deg = 72.0\n"), 26,
+                     "steps = 8\nstep_deg = 45.0\nfaces = 2\n");
+  session()->start(start("whole.run"));
+  kinds.clear();
+  std::unique_ptr<RunSession> first = session();
+  on_event = [&](const SessionEvent&) {
+    if (count("dwell_done") == 7) first->request_stop();
+  };
+  EXPECT_THROW(first->start(start()), RunInterrupted);
+  EXPECT_THAT(std::get<FinishedEvent>(last.value()).reason, HasSubstr("experiment 1, face 2, alpha = "));
+  on_event = {};
+  first.reset();
+  const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
+  EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
+  const std::vector<DwellRecord>& dwells = outcome.stored().record.dwells;
+  ASSERT_EQ(dwells.size(), 30U);
+  for (std::size_t k = 0; k < dwells.size(); ++k) EXPECT_EQ(dwells[k].face, k / 5 % 2 == 0 ? 1 : 2) << k;
+  EXPECT_TRUE(has_two_faces(outcome.stored().header.plan));
+  for (const IntegrityCheck& check : verify_run(folder / "a.run")) EXPECT_TRUE(check.good) << check.found;
+  bool by_face = false;
+  for (const CalibrationResult& result : outcome.items.front().results) {
+    EXPECT_NE(result.verdict, Verdict::kNotUsable) << result.estimator << ": " << result.why;
+    by_face = by_face || result.faces.has_value();
+  }
+  EXPECT_TRUE(by_face);
+  // The face is part of what the links of the dwells protect.
+  std::filesystem::copy_file(folder / "a.run", folder / "changed.run");
+  SqliteDatabase(folder / "changed.run", SqliteDatabase::Mode::kReadWrite)
+      .execute("update dwell set face = 1 where face = 2");
+  bool found = false;
+  for (const IntegrityCheck& check : verify_run(folder / "changed.run"))
+    found = found || (check.what == "dwells" && !check.good);
+  EXPECT_TRUE(found);
+}
+
 TEST_F(RunSessionTest, AnExternalStopEndsItAsWell) {
   on_event = [&](const SessionEvent&) {
     if (count("dwell_done") == 2) stop.request_stop();

@@ -46,6 +46,7 @@ class TrayMaker {
   void draw_stage() {
     std::vector<double> values;
     for (const StageEffect& effect : stage_effects()) {
+      if (effect.face == 2) continue;
       for (int i = 0; i < effect.count; ++i) values.push_back(effect.prior(plan_.sizes) * normal());
     }
     made.stage = Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
@@ -53,12 +54,13 @@ class TrayMaker {
       const int experiment = i / plan_.steps + 1;
       made.steps.push_back(step_prior(plan_.sizes) * normal());
       const SinCos alpha = sincos(angle_of(i));
-      const StagePose pose = StagePose::of(experiment, alpha.sin, alpha.cos);
+      const StagePose pose = StagePose::of(experiment, 1, alpha.sin, alpha.cos);
       StageInputs inputs = StageInputs::Zero();
       inputs(moving_angle_input(experiment)) += made.steps.back();
       std::size_t at = 0;
       double& smooth = made.smooth.emplace_back(0.0);
       for (const StageEffect& effect : stage_effects()) {
+        if (effect.face == 2) continue;
         for (int u = 0; u < effect.count; ++u, ++at) {
           const StageShare share = effect.share(pose, u);
           if (effect.key == "step_smooth_deg") smooth += share.value * values[at];

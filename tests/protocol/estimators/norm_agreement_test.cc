@@ -80,7 +80,7 @@ RunRecord measured_on(const StageTruth& truth, std::uint64_t seed, int steps = 3
       dwell.n = n;
       dwell.alpha = record.step * (n - 1);
       const SinCos alpha = sincos(dwell.alpha);
-      const StagePose pose = StagePose::of(experiment, alpha.sin, alpha.cos);
+      const StagePose pose = StagePose::of(experiment, 1, alpha.sin, alpha.cos);
       StageInputs inputs = fixed;
       (experiment == 3 ? inputs(kInputAngleZ) : inputs(kInputAngleX)) +=
           truth.step_deg * kRadians * normal(engine) + (experiment == 3 ? of_z : of_x).at(pose.moving(), 1.0);

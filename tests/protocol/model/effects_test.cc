@@ -16,8 +16,8 @@ namespace {
 
 constexpr double kRadian = std::numbers::pi / 180.0;
 
-StagePose pose_at(int experiment, double degrees) {
-  return StagePose::of(experiment, std::sin(degrees * kRadian), std::cos(degrees * kRadian));
+StagePose pose_at(int experiment, double degrees, int face = 1) {
+  return StagePose::of(experiment, face, std::sin(degrees * kRadian), std::cos(degrees * kRadian));
 }
 
 TEST(EffectsTest, EverySizeBelongsToAKeyAndEveryUnknownHasAName) {
@@ -59,6 +59,35 @@ TEST(StageModelTest, IsTheForwardModelWithoutTilts) {
           gravity_at(pose_at(experiment, alpha), inputs).g.isApprox(circle.at(Angle::degrees(alpha)), 1e-13))
           << experiment << " " << alpha;
     }
+  }
+}
+
+// Pose (x, z) and pose (-x, z + 180 degrees) see the same gravity with opposite errors of the stage.
+TEST(StageModelTest, TheSecondFaceSeesTheGravityOfTheFirstAndOppositeErrors) {
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (double alpha = 0.0; alpha < 360.0; alpha += 35.0) {
+      const double same = experiment == 3 ? alpha + 180.0 : -alpha;
+      const GravityAt first = gravity_at(pose_at(experiment, same), StageInputs::Zero());
+      const GravityAt second = gravity_at(pose_at(experiment, alpha, 2), StageInputs::Zero());
+      EXPECT_TRUE(second.g.isApprox(first.g, 1e-13)) << experiment << " " << alpha;
+      if (experiment == 3) continue;
+      // An error of the angle of X turns the item in the opposite sense.
+      EXPECT_TRUE(second.by_input.col(kInputAngleX).isApprox(-first.by_input.col(kInputAngleX), 1e-13));
+    }
+  }
+}
+
+TEST(StageEffectsTest, OnlyTheSecondFaceHasTurnsOfItsOwn) {
+  for (const StageEffect& effect : stage_effects()) {
+    bool in_first = false, in_second = false;
+    for (int experiment = 1; experiment <= 3; ++experiment) {
+      for (int i = 0; i < effect.count; ++i) {
+        in_first = in_first || effect.share(pose_at(experiment, 20.0), i).value != 0.0;
+        in_second = in_second || effect.share(pose_at(experiment, 20.0, 2), i).value != 0.0;
+      }
+    }
+    EXPECT_EQ(in_first, effect.face == 1) << effect.name;
+    EXPECT_EQ(in_second, effect.name != "d2" && effect.name != "d3") << effect.name;
   }
 }
 

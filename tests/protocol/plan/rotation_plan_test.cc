@@ -5,6 +5,8 @@
 
 #include <cmath>
 #include <set>
+#include <tuple>
+#include <utility>
 
 namespace abcal {
 namespace {
@@ -33,6 +35,53 @@ TEST(RotationPlanTest, DrivesTheThreeExperimentsOfThePaperWithTheirInitialTurns)
     EXPECT_EQ(held, angle.experiment == 1 ? deg(0) : angle.experiment == 2 ? deg(-90) : deg(270));
     const Angle turning = angle.experiment == 3 ? angle.z : angle.x;
     EXPECT_DOUBLE_EQ(std::remainder(turning.deg() - angle.alpha.deg(), 360.0), 0.0);
+  }
+}
+
+TEST(RotationPlanTest, TwoFacesHaveHalfOfTheAnglesEachInterleavedAndOppositeToEachOther) {
+  ProtocolConfig config = as_published();
+  config.steps = 12;
+  config.step = deg(30);
+  config.faces = 2;
+  const auto plan = make_rotation_plan(config, kWide);
+  ASSERT_EQ(plan.size(), 6U * 7U);
+  EXPECT_TRUE(has_two_faces(plan));
+  EXPECT_FALSE(has_two_faces(make_rotation_plan(as_published(), kWide)));
+  std::set<std::pair<int, double>> seen;
+  for (std::size_t k = 0; k < plan.size(); ++k) {
+    const PlannedAngle& angle = plan[k];
+    EXPECT_EQ(angle.face, angle.n % 2 == 1 ? 1 : 2);
+    EXPECT_EQ(angle.closing, k % 7 == 6);
+    const Angle held = angle.experiment == 3 ? angle.x : angle.z;
+    const double of_face_1 = angle.experiment == 1 ? 0.0 : -90.0;
+    const double expected = angle.face == 1 ? of_face_1 : of_face_1 + 180.0;
+    EXPECT_DOUBLE_EQ(std::remainder(held.deg() - expected, 360.0), 0.0) << k;
+    const Angle turning = angle.experiment == 3 ? angle.z : angle.x;
+    EXPECT_DOUBLE_EQ(std::remainder(turning.deg() - angle.alpha.deg(), 360.0), 0.0);
+    if (!angle.closing) seen.insert({angle.experiment, angle.alpha.deg()});
+    if (k > 0 && !angle.closing) {
+      EXPECT_GE(std::tuple(angle.experiment, angle.face),
+                std::tuple(plan[k - 1].experiment, plan[k - 1].face));
+    }
+  }
+  EXPECT_EQ(seen.size(), 36U);  // Each angle of the circle once in each experiment.
+}
+
+TEST(RotationPlanTest, SaysWhichAxisDoesNotReachTheSecondFace) {
+  ProtocolConfig config = as_published();
+  config.faces = 2;
+  config.steps = 71;
+  try {
+    make_rotation_plan(config, {AxisTravel{deg(-361), deg(85)}, AxisTravel{deg(-120), deg(120)}});
+    FAIL();
+  } catch (const PlanError& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("steps: found 71 with faces = 2; required: an even number"));
+    EXPECT_THAT(error.what(),
+                testing::HasSubstr("axis Z: found travel -120 to 120 deg; required: a travel that "
+                                   "includes the axis angle 180 deg, for face 2 (or [protocol] "
+                                   "faces = 1)"));
+    // X at 90 degrees is at -270 too.
+    EXPECT_THAT(error.what(), testing::Not(testing::HasSubstr("axis X")));
   }
 }
 

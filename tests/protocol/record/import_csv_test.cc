@@ -140,6 +140,32 @@ TEST(ImportCsvTest, AColumnMayTellTheClosingAngleAndFlags) {
       testing::ElementsAre(problem("flags", "1024", "known flags"), problem("closing", "2", "0 or 1")));
 }
 
+TEST(ImportCsvTest, AColumnTellsTheFace) {
+  const std::string header = "experiment,n,alpha_deg,r_u,r_v,r_w,face\n";
+  std::string text = header;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (const int n : {1, 3, 5, 7, 2, 4, 6, 8})
+      text += fmt::format("{},{},{},0.5,0.25,0.125,{}\n", experiment, n, 45 * (n - 1), n % 2 == 1 ? 1 : 2);
+    text += fmt::format("{},2,405,0.5,0.25,0.125,2\n", experiment);
+  }
+  const RunRecord record = imported(text);
+  ASSERT_EQ(record.dwells.size(), 27U);
+  EXPECT_TRUE(has_two_faces(record));
+  EXPECT_EQ(record.steps, 8);
+  EXPECT_EQ(record.step.deg(), 45.0);
+  for (std::size_t k = 0; k < record.dwells.size(); ++k) {
+    const DwellRecord& dwell = record.dwells[k];
+    EXPECT_EQ(dwell.face, dwell.n % 2 == 1 ? 1 : 2);
+    EXPECT_EQ(dwell.closing, k % 9 == 8) << k;  // One turn after the first angle of its own circle.
+    const double held = dwell.experiment == 3 ? dwell.commanded_x.deg() : dwell.commanded_z.deg();
+    const double of_face_1 = dwell.experiment == 1 ? 0.0 : -90.0;
+    EXPECT_EQ(held, dwell.face == 2 ? of_face_1 + 180.0 : of_face_1);
+  }
+  EXPECT_THAT(
+      problems_of(header + "1,1,0,0.5,0.25,0.125,3\n"),
+      Contains(AllOf(Field(&Problem::where, HasSubstr("face")), Field(&Problem::found, HasSubstr("3")))));
+}
+
 TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
   const RunRecord record = imported(
       "# g_loc.value_mps2: 9.80101\n# g_loc.expanded_uncertainty_mps2: 3e-05\n"

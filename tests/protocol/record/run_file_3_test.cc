@@ -155,8 +155,8 @@ class RunFile3Test : public testing::Test {
 
 TEST_F(RunFile3Test, NamesItsSchemaAndVersion) {
   { RunFile::create(path, plan_of_two()); }
-  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/4");
-  EXPECT_EQ(reader().value("pragma user_version"), "4");
+  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/5");
+  EXPECT_EQ(reader().value("pragma user_version"), "5");
 }
 
 TEST_F(RunFile3Test, APauseIsInTheTimesOfTheRun) {
@@ -413,6 +413,37 @@ TEST_F(RunFile3Test, AChangedReadingDwellSessionOrPlanBreaksTheChain) {
     }
     EXPECT_FALSE(found("dwells", changed).good);
   }
+}
+
+// Files of version 4 lack the columns `face`; face 1 adds nothing to the links, so that they stay valid.
+TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
+  {
+    RunFile file = RunFile::create(path, plan_of_two());
+    file.begin_session(start_after(0s));
+    append(file, 0, 1.0);
+  }
+  {
+    SqliteDatabase database(path, SqliteDatabase::Mode::kReadWrite);
+    database.execute("pragma journal_mode=delete");
+    database.execute("alter table plan drop column face; alter table dwell drop column face");
+    database.execute("pragma user_version = 4");
+  }
+  const auto expect_one_face = [&](std::size_t dwells) {
+    const StoredRun run = RunFile::load(path);
+    ASSERT_EQ(run.record.dwells.size(), dwells);
+    for (const DwellRecord& dwell : run.record.dwells) EXPECT_EQ(dwell.face, 1);
+    for (const PlannedAngle& angle : run.header.plan) EXPECT_EQ(angle.face, 1);
+    EXPECT_TRUE(found("dwells").good) << found("dwells").found;
+  };
+  expect_one_face(1);
+  EXPECT_EQ(reader().value("pragma user_version"), "4");
+  {
+    RunFile file = RunFile::open_for_append(path);
+    file.begin_session(start_after(60s));
+    append(file, 1, 2.0, true);
+  }
+  EXPECT_EQ(reader().value("pragma user_version"), "5");
+  expect_one_face(2);
 }
 
 TEST_F(RunFile3Test, ResultsOfAnotherRunAreRefusedBeforeTheFirstMove) {

@@ -344,6 +344,15 @@ TEST(RunUncertaintyTest, RefusesWhatCannotBeAnswered) {
   RunRecord negative = record;
   negative.tolerances.step = Angle::degrees(-1.0);
   EXPECT_THROW(run_uncertainty(negative, quick()), std::invalid_argument);
+  RunRecord in_faces = record;
+  for (DwellRecord& dwell : in_faces.dwells) dwell.face = dwell.n % 2 == 0 ? 2 : 1;
+  try {
+    run_uncertainty(in_faces, quick());
+    ADD_FAILURE() << "accepted";
+  } catch (const std::invalid_argument& error) {
+    EXPECT_THAT(error.what(), testing::AllOf(testing::HasSubstr("simulated: has two faces"),
+                                             testing::HasSubstr("--estimator joint")));
+  }
   record.dwells.resize(74);  // two angles of experiment 2, none of 3
   EXPECT_THROW(run_uncertainty(record, quick()), std::exception);
 }

@@ -341,6 +341,8 @@ export default {
   'closure / std. uncertainty (1)': 'Schlussbedingung / Standardunsicherheit (1)',
   'complete': 'vollständig',
   'done': 'ausgeführt',
+  ', face 2': ', Kreislage 2',
+  'experiment {}, face 2, {} degrees': 'Experiment {}, Kreislage 2, {} Grad',
   'experiment {}, {} degrees': 'Experiment {}, {} Grad',
   'experiment, order of the harmonic': 'Experiment, Ordnung der Harmonischen',
   'good': 'gut',

@@ -197,7 +197,8 @@ export class LiveView {
     const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
       ? `${held ? t('next: ') : ''}${planned.check ? t`check pose ${planned.n}`
-        : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)} degrees`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
+        : planned.face === 2 ? t`experiment ${planned.experiment}, face 2, ${number(planned.alpha_deg, 1)} degrees`
+          : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)} degrees`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
     this.settling();
     this.offerInterrupted();
   }
@@ -309,19 +310,27 @@ export class LiveView {
     return fit.constant + fit.sine * Math.sin(a) + fit.cosine * Math.cos(a);
   }
 
+  // The angle at which the item sees the same gravity in face 1.
+  plottedAngle(d) {
+    if (d.face !== 2) return d.alpha_deg;
+    const angle = d.experiment === 3 ? d.alpha_deg + 180 : -d.alpha_deg;
+    return angle - 360 * Math.floor(angle / 360);
+  }
+
   // The response of experiment i, or its residual.
   drawExperiment(plotted, i) {
     const chart = this.charts[i][plotted];
-    const dwells = this.ofResponding().filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
+    const dwells = this.ofResponding().filter((d) => d.experiment === i + 1)
+      .map((d) => ({mean: d.mean, x: this.plottedAngle(d)})).sort((a, b) => a.x - b.x);
     const fits = dwells.length ? this.fits[i] : null;
     if (this.unit) chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
     OUTPUTS.forEach((name, j) => {
       const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
       points.pointRadius = pointRadius(dwells);
       if (plotted === 'residual') {
-        points.data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];
+        points.data = fit ? dwells.map((d) => ({x: d.x, y: d.mean[j] - this.fitted(fit, d.x)})) : [];
       } else {
-        points.data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
+        points.data = dwells.map((d) => ({x: d.x, y: d.mean[j]}));
         chart.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
       }
     });
@@ -329,7 +338,7 @@ export class LiveView {
   }
 
   makeTable() {
-    const cells = (d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
+    const cells = (d) => [d.experiment ? `${d.experiment}${d.face === 2 ? t(', face 2') : ''}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
       d.experiment ? number(d.alpha_deg, 2) : DASH,
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
       number(d.temperature_degc, 2), d.flags || t('none')];

@@ -57,6 +57,9 @@ class Record {
   /// @throws std::invalid_argument with every problem: sizes that differ, numbers that are not finite, too
   /// few angles, an effect that does not exist
   Record(const RecordArrays& arrays, const RecordSettings& settings = {});
+  /// The same of a run in two faces (docs/measurement.md, "Two faces").
+  /// @param face  1 or 2 of each row
+  Record(const RecordArrays& arrays, std::span<const int> face, const RecordSettings& settings = {});
 
   std::string source() const;
   std::string response_unit() const;
@@ -66,6 +69,7 @@ class Record {
   double g_loc_mps2() const;      ///< NaN: not known.
 
   std::vector<int> experiment() const;
+  std::vector<int> face() const;  ///< 1 or 2 (docs/measurement.md, "Two faces").
   /// These views point into the record and remain valid as long as this or a copy exists.
   Column alpha_deg() const;
   Rows readings() const;

@@ -106,11 +106,11 @@ def _covariance_to_xarray(self):
 
 
 def _record_to_pandas(self):
-    """One row an angle: experiment, alpha_deg, r_u r_v r_w, u_u u_v u_w, time_s, closing."""
+    """One row an angle: experiment, face, alpha_deg, r_u r_v r_w, u_u u_v u_w, time_s, closing."""
     import pandas
 
     readings, u = self.readings, self.u
-    columns = {"experiment": self.experiment, "alpha_deg": self.alpha_deg}
+    columns = {"experiment": self.experiment, "face": self.face, "alpha_deg": self.alpha_deg}
     columns.update({"r_" + name: readings[:, j] for j, name in enumerate("uvw")})
     columns.update({"u_" + name: u[:, j] for j, name in enumerate("uvw")})
     columns.update({"time_s": self.time_s, "closing": self.closing})
@@ -130,6 +130,7 @@ def _record_to_xarray(self):
         },
         coords={
             "experiment": ("angle", self.experiment),
+            "face": ("angle", self.face),
             "alpha_deg": ("angle", self.alpha_deg, {"units": "degree"}),
             "time_s": ("angle", self.time_s, {"units": "s"}),
             "output": list("uvw"),

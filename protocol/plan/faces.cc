@@ -1,0 +1,23 @@
+#include "protocol/plan/faces.h"
+
+namespace abcal {
+
+int face_of(int n, int faces) {
+  return faces == kFaces && n % kFaces == 0 ? 2 : 1;
+}
+
+Angle held_angle(int experiment, int face) {
+  if (experiment == 1) return Angle::degrees(face == 2 ? 180.0 : 0.0);
+  return Angle::degrees(face == 2 ? 90.0 : -90.0);  // paper, section 2.4: -90 degrees
+}
+
+Angle angle_in_face_1(int experiment, int face, Angle alpha) {
+  if (face != 2) return alpha;
+  return experiment == 3 ? alpha + Angle::degrees(180.0) : Angle::degrees(0.0) - alpha;
+}
+
+std::string circle_words(int experiment, int face) {
+  return "experiment " + std::to_string(experiment) + (face == 2 ? ", face 2" : "");
+}
+
+}  // namespace abcal
