@@ -101,7 +101,7 @@ void JointTrials::draw_effects(RandomStream& stream, JointDraw& draw) const {
   draw.steps.assign(model_.angles(), 0.0);
   if (!(model_.step_sd() > 0.0)) return;
   const Shape shape = sizes_.shape_of("step_deg");
-  // Of the stated size everywhere: that the fit assumes a larger one at some angles is its caution.
+  // All have the stated size; the fit assumes a larger one at some angles out of caution.
   for (std::size_t n = 0; n < draw.steps.size(); ++n)
     draw.steps[n] = model_.step_sd() * standard_draw(shape, stream) / model_.step_factor(n);
 }
@@ -120,7 +120,7 @@ void JointTrials::draw_noise(RandomStream& stream, JointDraw& draw) const {
       white(j) *= std::sqrt(nu / chi2_draw(nu, stream));
     }
   }
-  const std::vector<NoiseAtAngle> angles = model_.noise_at_angles(white);
+  const std::vector<NoiseAtAngle> angles = model_.stated_noise_at_angles(white);
   const NoiseProcess process = model_.process_of(noise.tau, noise.rho);
   draw.noise.resize(3 * static_cast<Eigen::Index>(angles.size()));
   Eigen::Vector3d state = Eigen::Vector3d::Zero();
@@ -187,7 +187,7 @@ class JointTrials::Batch {
     residual_.resize(of_.model_.residual().size(), count_);
     for (int i = 0; i < kSteps; ++i) {
       for (std::size_t b = 0; b < count; ++b) {
-        if (i > 0 && !of_.hysteresis_.empty()) take_signs(b, of_.model_.came_from_at(values_[b], steps_[b]));
+        if (i > 0 && !of_.hysteresis_.empty()) take_signs(b, of_.model_.mean_signs_at(values_[b], steps_[b]));
         set_residual(b,
                      of_.readings_of(draws_[b]) - of_.model_.readings_at(values_[b], steps_[b], signs_[b]));
       }
@@ -291,7 +291,7 @@ class JointTrials::Batch {
 
   /// Takes the signs of the present estimates.
   void take_signs(std::size_t b, std::vector<Eigen::Vector3d> signs) {
-    const std::vector<Eigen::Vector3d>& of_run = of_.model_.came_from();
+    const std::vector<Eigen::Vector3d>& of_run = of_.model_.signs().mean;
     for (std::size_t n = 0; n < signs.size(); ++n) {
       for (Eigen::Index j = 0; j < 3; ++j)
         sign_columns_(3 * static_cast<Eigen::Index>(n) + j, 3 * static_cast<Eigen::Index>(b) + j) =

@@ -32,8 +32,8 @@ struct JointDraw {
 /// minimisation from the truth on the model's exact readings, then the average over the noises by their
 /// likelihoods, as in effect_fit(). solved_in_full() calls effect_fit() itself.
 ///
-/// The hysteresis acts with the signs of the responses that were drawn; the estimator takes those of its own
-/// solution. Where a response hardly changes from angle to angle some are different.
+/// The hysteresis acts with the signs of the responses that were drawn; the estimator takes the mean signs at
+/// its own solution (HysteresisSigns), with the uncertainties that the responses have in the run.
 ///
 /// The noise: a process (tau, rho) with its posterior probability; white noise of Student's distribution
 /// where the uncertainty of a reading is from the scatter of a dwell; where the fit estimated its size, that

@@ -27,7 +27,7 @@ for (const {question, answers} of questions) {
   for (const answer of answers)
     if (!known.has(answer)) fail(`"${question}": its answer ${answer} is not below ${docs}`);
   const hits = search.ask(index, question).slice(0, 3);
-  // Of a hit the page shows its first three sections.
+  // The page shows the first three sections of a hit.
   const shown = new Set(hits.flatMap((hit) => [hit.page, ...hit.sections.slice(0, 3).map(({page, anchor}) => `${page}#${anchor}`)]));
   if (!answers.some((answer) => shown.has(answer)))
     fail(`"${question}": required: one of ${answers.join(', ')}; found: ${hits.map((hit) => `${hit.page}#${hit.anchor}`).join(', ')}`);

@@ -10,7 +10,7 @@ import unittest
 import numpy as np
 
 import abcal
-from support import circles, simulated, write_csv
+from support import MATRIX, OFFSET, circles, simulated, write_csv
 
 
 class Package(unittest.TestCase):
@@ -95,8 +95,7 @@ class Arrays(unittest.TestCase):
         result = abcal.analyse(record, "abc")
         np.testing.assert_allclose(result.sensitivity_matrix.value, MATRIX, atol=1e-12)
         as_one = abcal.analyse(abcal.Record(alpha, readings, experiment=experiment), "abc")
-        difference = as_one.sensitivity_matrix.value - MATRIX
-        self.assertFalse(np.abs(difference).max() < 0.1, "these readings tell the faces apart")
+        self.assertNotEqual(as_one.verdict, "usable", "these readings tell the faces apart")
         again = abcal.Record(alpha, readings, experiment=experiment, face=record.to_pandas().face)
         np.testing.assert_array_equal(again.face, face)
 

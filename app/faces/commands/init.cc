@@ -245,18 +245,21 @@ void print_learned(const Turned& turned) {
 void print_costs(const BenchConfig& config, const Turned& turned) {
   constexpr double kLeastNoise = 1e-7;  // Readings without any noise determine no uncertainty.
   KnownItem item{.noise = std::max(turned.noise, kLeastNoise)};
-  if (const auto axes = mounting_matrix(turned.learned.mounting)) item.sensitivity_matrix = *axes;
+  if (const auto axes = mounting_matrix(turned.learned.mounting)) item.sensitivity_matrix *= *axes;
   const Budget budget = predict_budget(planning_bench(config, item), config.protocol);
   const std::string costs = default_costs_text(default_costs(config.items.front().tolerances, budget));
   if (costs.empty()) return;
   print_result(
-      "\n{}\n{}  -> docs/effects.md: how to find each size, and how to state it under [stage_uncertainty] "
-      "and "
-      "[item_uncertainty]\n",
-      emphasised(stdout, Emphasis::kHeading,
-                 "Sizes that are still defaults: U of a run would be smaller by at least this part if the "
-                 "size were zero"),
-      costs);
+      "\n{}{}{}",
+      emphasised(
+          stdout, Emphasis::kHeading,
+          wrapped("Sizes that are still defaults: U of a run would be smaller by at least this part if "
+                  "the size were zero",
+                  "", "  ", kTerminalColumns)),
+      costs,
+      wrapped("docs/effects.md: how to find each size, and how to state it under [stage_uncertainty] and "
+              "[item_uncertainty]",
+              "  -> ", "     ", kTerminalColumns));
 }
 
 /// A word of a command as a person would type it.

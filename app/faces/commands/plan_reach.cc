@@ -293,8 +293,9 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
     print_curve(others);
     print_result("Noise of one reading: {:.3g} g_loc, taken as white. The item {}. Estimator: {}.\n",
                  question.bench.item.noise,
-                 question.bench.item.sensitivity_matrix.isIdentity(0.0)
-                     ? "is taken to stand straight; --noise RUN, an earlier run, would tell more"
+                 question.bench.item.sensitivity_matrix == usual_directions()
+                     ? "is taken to stand as usual, 0.3 to 0.6 degrees askew; --noise RUN, an earlier run, "
+                       "would tell more"
                      : "is as the earlier run found it",
                  config.protocol.estimator);
   }

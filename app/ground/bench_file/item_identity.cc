@@ -31,7 +31,7 @@ std::vector<std::string> plain_words(std::string_view text) {
 }
 
 bool contains(const std::vector<std::string>& text, const std::vector<std::string>& part) {
-  return !part.empty() && !std::ranges::search(text, part).empty();
+  return !part.empty() && std::search(text.begin(), text.end(), part.begin(), part.end()) != text.end();
 }
 
 bool begins_with(const std::vector<std::string>& text, const std::vector<std::string>& part) {

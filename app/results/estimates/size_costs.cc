@@ -4,6 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+
+#include "app/ground/system/text_layout.h"
 
 namespace abcal {
 
@@ -30,10 +33,12 @@ std::string key_of(const EffectSizeKey& size) {
 }
 
 std::string default_costs_text(const std::vector<DefaultCost>& costs) {
+  constexpr std::size_t kBehindOutput = 26;
   std::string text;
   for (const DefaultCost& each : costs)
-    text += fmt::format("  {:>5.1f} % of U of {:<6}  {}: {}\n", 100.0 * each.cost, each.output,
-                        key_of(*each.size), each.size->words);
+    text += wrapped(fmt::format("{}: {}", key_of(*each.size), each.size->words),
+                    fmt::format("  {:>5.1f} % of U of {:<6}  ", 100.0 * each.cost, each.output),
+                    std::string(kBehindOutput, ' '), kTerminalColumns);
   return text;
 }
 

@@ -101,6 +101,14 @@ LargestPart largest_part(const Budget& budget, int output) {
 
 }  // namespace
 
+Eigen::Matrix3d usual_directions() {
+  Eigen::Matrix3d rows;
+  rows << 1.0, 4e-3, -6e-3,  //
+      -5e-3, 1.0, 7e-3,      //
+      6e-3, -8e-3, 1.0;
+  return rows.rowwise().normalized();
+}
+
 PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol) {
   PlanPrediction prediction;
   prediction.protocol = protocol;

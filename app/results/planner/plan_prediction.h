@@ -11,12 +11,16 @@
 
 namespace abcal {
 
-/// The item as far as it is known before the run; by default one that stands straight and has no offset. All
+/// Rows of length 1, turned from the stage's axes by 0.3 to 0.6 degrees, as items and mounts usually are. An
+/// item that stands straight to the bit would be the worst case: the sign of its hysteresis is unknown
+/// wherever an output is along the axis that turns.
+Eigen::Matrix3d usual_directions();
+
+/// The item as far as it is known before the run; by default one of the usual directions, without offset. All
 /// values are relative to the sensitivity of each output (1, that is g_loc).
 struct KnownItem {
-  double noise = 0.0;  ///< Standard deviation of one reading, white.
-  Eigen::Matrix3d sensitivity_matrix =
-      Eigen::Matrix3d::Identity();  ///< Rows of length 1: angles and mounting.
+  double noise = 0.0;                                       ///< Standard deviation of one reading, white.
+  Eigen::Matrix3d sensitivity_matrix = usual_directions();  ///< Rows of length 1: angles and mounting.
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();
 };
 

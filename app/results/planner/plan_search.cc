@@ -94,6 +94,7 @@ FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
     const PlanPrediction& plan = predicted(circles, *readings);
     if (!found.plan || plan.duration.total_s() < found.plan->duration.total_s()) found.plan = plan;
   }
+  if (progress_) progress_(1.0);
   if (found.plan) return found;
   const PlanPrediction& longest = predicted({kTriedSteps.back(), 1}, kMostReadings);
   for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
@@ -121,6 +122,7 @@ std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const W
     const PlanPrediction& plan = predicted(circles, *readings);
     if (!best || worst_ratio(plan.u, wanted) < worst_ratio(best->u, wanted)) best = plan;
   }
+  if (progress_) progress_(1.0);
   return best;
 }
 

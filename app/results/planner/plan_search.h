@@ -33,8 +33,8 @@ struct FoundPlan {
 /// Searches for plans of one bench. Predictions are kept, so that further questions cost little.
 class PlanSearch {
  public:
-  /// @param progress  called after each prediction with the part of the present question that is done, from 0
-  /// to 1; may be empty
+  /// @param progress  called after each prediction, and at the end, with the part of the present question
+  /// that is done, from 0 to 1; may be empty
   explicit PlanSearch(PlanningBench bench, std::function<void(double part)> progress = {});
 
   /// Predictions that a question usually needs.

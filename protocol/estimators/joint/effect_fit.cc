@@ -49,6 +49,7 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
     out.shares[static_cast<std::size_t>(groups.of_unknown[i])].noalias() +=
         model.prior_weight()(static_cast<Eigen::Index>(i)) * row.transpose() * row;
   }
+  add_share_of_signs(model, groups, out);
   if (groups.first_step < 0) return out;
   const std::vector<NoiseAtAngle> angles = model.noise_at_angles(at.noise.white);
   for (std::size_t n = 0; n < angles.size(); ++n) {
@@ -143,10 +144,9 @@ EffectSolution solve_effects(std::span<const EffectReading> readings, const Effe
   NoiseSearch search = search_noise(model);
   if (search.points[search.best()].noise.tau > 0.0) fit.larger_sizes = size_evidence(model, search);
   const ShareGroups groups = share_groups(model);
-  out.unknown_signs = unknown_signs(model, groups, search.points[search.best()].normal.covariance_root());
   std::vector<LineAtNoise> lines;
   for (std::size_t i = 0; i < search.points.size(); ++i) {
-    add_unknown_signs(out.unknown_signs, lines.emplace_back(line_at(model, search.points[i], groups)));
+    lines.push_back(line_at(model, search.points[i], groups));
     out.noises.push_back(search.points[i].noise);
     out.weights.push_back(search.weight(i));
     out.log_likelihoods.push_back(search.points[i].log_likelihood);

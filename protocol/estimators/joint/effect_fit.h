@@ -27,6 +27,13 @@ struct EffectReading {
   double step_factor = 1.0;
 };
 
+/// The signs of the hysteresis that a fit takes at each reading (ItemPoint::came_from). A change D of the
+/// response with the standard uncertainty u has the sign 1 with the probability Phi(D/u).
+struct HysteresisSigns {
+  std::vector<Eigen::Vector3d> mean;      ///< Mean sign for u, v, w, -1 to 1.
+  std::vector<Eigen::Vector3d> variance;  ///< Variance of the reading that its unknown sign causes; relative.
+};
+
 struct EffectFitOptions {
   EffectSizes sizes;
   MeasuredAlignment measured_alignment;
@@ -35,8 +42,7 @@ struct EffectFitOptions {
   bool mean_step = true;      ///< false: F_X = F_Z = 0 exactly; for studies.
   bool noise_process = true;  ///< false: the noise is white.
   bool white_known = true;    ///< false: u is a first guess; the white noise of each output is estimated.
-  /// Signs for the hysteresis at each reading (ItemPoint::came_from); empty: those of the solution.
-  std::vector<Eigen::Vector3d> came_from = {};
+  std::optional<HysteresisSigns> signs = std::nullopt;  ///< Absent: those of the solution.
 };
 
 /// One unknown of the fit, in relative units: quantities of an output are divided by its S_j.

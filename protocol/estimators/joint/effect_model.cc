@@ -6,10 +6,12 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <numbers>
 #include <stdexcept>
 #include <utility>
 
 #include "protocol/estimators/shared/known_acs_fit.h"
+#include "protocol/estimators/shared/reading_kernels.h"
 #include "protocol/estimators/shared/unusable_data.h"
 
 namespace abcal {
@@ -45,7 +47,7 @@ EffectModel::EffectModel(std::span<const EffectReading> readings, const EffectFi
   choose_unknowns();
   list_unknowns();
   start_from_linear_fit();
-  find_directions();
+  find_signs();
   evaluate();
 }
 
@@ -187,38 +189,64 @@ void EffectModel::start_from_linear_fit() {
 }
 
 /// First signs for the hysteresis: those of the linear solution.
-void EffectModel::find_directions() {
-  if (!options_.came_from.empty()) {
-    came_from_ = options_.came_from;
+void EffectModel::find_signs() {
+  if (options_.signs) {
+    signs_ = *options_.signs;
     return;
   }
-  came_from_.assign(readings_.size(), Eigen::Vector3d::Zero());
-  const Eigen::Matrix3d start = rows();
-  const StageInputs perfect = StageInputs::Zero();
-  Eigen::Vector3d before = Eigen::Vector3d::Zero();
-  for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const Eigen::Vector3d y = start * gravity_alone(poses_[n], perfect);
-    if (n > 0) came_from_[n] = signs_of_change(before, y);
-    before = y;
-  }
+  signs_.mean = came_from_at(value_, step_);
+  signs_.variance.assign(readings_.size(), Eigen::Vector3d::Zero());
 }
 
-bool EffectModel::take_directions() {
-  if (!options_.came_from.empty() || hysteresis_unknowns().empty()) return false;
-  std::vector<Eigen::Vector3d> here = came_from_at(value_, step_);
-  if (here == came_from_) return false;
-  came_from_ = std::move(here);
+bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
+  constexpr double kSame = 1e-3;
+  const std::vector<Eigen::Index> hysteresis = hysteresis_unknowns();
+  if (options_.signs || hysteresis.empty()) return false;
+  Eigen::VectorXd variance = times_upper(changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
+  for (std::size_t n = 1; n < readings_.size() && layout_.maps == 0; ++n)
+    variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
+        step_sd_ * step_sd_ * (by_step_[n].cwiseAbs2() + by_step_[n - 1].cwiseAbs2());
+  u_change_ = variance.cwiseSqrt();
+  std::vector<Eigen::Vector3d> mean = mean_signs_at(value_, step_);
+  double largest = 0.0;
+  for (std::size_t n = 0; n < mean.size(); ++n)
+    largest = std::max(largest, (mean[n] - signs_.mean[n]).cwiseAbs().maxCoeff());
+  if (largest < kSame) return false;
+  signs_.mean = std::move(mean);
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Eigen::Index at = hysteresis[j];
+    const double size2 = std::max(std::pow(unknowns_[static_cast<std::size_t>(at)].prior_sd, 2),
+                                  std::pow(value_(at), 2) + covariance_root.row(at).squaredNorm());
+    const auto output = static_cast<Eigen::Index>(j);
+    for (std::size_t n = 1; n < readings_.size(); ++n)
+      signs_.variance[n](output) = size2 * (1.0 - std::pow(signs_.mean[n](output), 2));
+  }
   evaluate();
   return true;
 }
 
-Eigen::VectorXd EffectModel::changes() const {
-  Eigen::VectorXd out = Eigen::VectorXd::Zero(residual_.size());
-  const Eigen::Matrix3d here = rows();
-  Eigen::Vector3d before = here * gravity(0).g;
+std::vector<Eigen::Vector3d> EffectModel::mean_signs_at(const Eigen::VectorXd& value,
+                                                        const std::vector<double>& steps) const {
+  if (u_change_.size() == 0) return came_from_at(value, steps);
+  const Eigen::VectorXd change = changes_at(value, steps);
+  std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
   for (std::size_t n = 1; n < readings_.size(); ++n) {
-    const Eigen::Vector3d y = here * gravity(n).g;
-    out.segment<3>(3 * static_cast<Eigen::Index>(n)) = y - before;
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      const Eigen::Index row = 3 * static_cast<Eigen::Index>(n) + j;
+      if (change(row) != 0.0) out[n](j) = std::erf(change(row) / (std::numbers::sqrt2 * u_change_(row)));
+    }
+  }
+  return out;
+}
+
+Eigen::VectorXd EffectModel::changes_at(const Eigen::VectorXd& value,
+                                        const std::vector<double>& steps) const {
+  Eigen::VectorXd out = Eigen::VectorXd::Zero(residual_.size());
+  const Eigen::Matrix3d at_value = rows_of(value);
+  Eigen::Vector3d before = Eigen::Vector3d::Zero();
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const Eigen::Vector3d y = at_value * gravity_alone(poses_[n], inputs_at(n, value, steps));
+    if (n > 0) out.segment<3>(3 * static_cast<Eigen::Index>(n)) = y - before;
     before = y;
   }
   return out;
@@ -266,14 +294,11 @@ StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
 
 std::vector<Eigen::Vector3d> EffectModel::came_from_at(const Eigen::VectorXd& value,
                                                        const std::vector<double>& steps) const {
-  std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
-  const Eigen::Matrix3d at_value = rows_of(value);
-  Eigen::Vector3d before = Eigen::Vector3d::Zero();
-  for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const Eigen::Vector3d y = at_value * gravity_alone(poses_[n], inputs_at(n, value, steps));
-    if (n > 0) out[n] = signs_of_change(before, y);
-    before = y;
-  }
+  const Eigen::VectorXd change = changes_at(value, steps);
+  std::vector<Eigen::Vector3d> out;
+  for (std::size_t n = 0; n < readings_.size(); ++n)
+    out.push_back(
+        signs_of_change(Eigen::Vector3d::Zero(), change.segment<3>(3 * static_cast<Eigen::Index>(n))));
   return out;
 }
 
@@ -301,7 +326,7 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   const StageShare* shares = shares_.data() + n * layout_.stage.size();
   const int moving = moving_angle_input(readings_[n].experiment);
   const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
-  const ItemPoint point{readings_[n].t, rows * gravity.g, came_from_[n]};
+  const ItemPoint point{readings_[n].t, rows * gravity.g, signs_.mean[n]};
   const Eigen::Matrix<double, 3, kStageInputs> by_input = rows * gravity.by_input;
 
   At out;
@@ -379,6 +404,12 @@ Eigen::VectorXd EffectModel::misfit() const {
 }
 
 std::vector<NoiseAtAngle> EffectModel::noise_at_angles(const Eigen::Vector3d& white) const {
+  std::vector<NoiseAtAngle> out = stated_noise_at_angles(white);
+  for (std::size_t n = 0; n < out.size(); ++n) out[n].white += signs_.variance[n];
+  return out;
+}
+
+std::vector<NoiseAtAngle> EffectModel::stated_noise_at_angles(const Eigen::Vector3d& white) const {
   std::vector<NoiseAtAngle> out(readings_.size());
   const double intervals = static_cast<double>(std::max<std::size_t>(readings_.size(), 2) - 1);
   for (std::size_t n = 0; n < readings_.size(); ++n) {
@@ -460,7 +491,7 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
   for (std::size_t n = 0; n < readings_.size() && !columns.empty(); ++n) {
     const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
     const Eigen::Matrix<double, 3, kStageInputs> by_input = at_value * gravity.by_input;
-    const ItemPoint point{readings_[n].t, at_value * gravity.g, came_from_[n]};
+    const ItemPoint point{readings_[n].t, at_value * gravity.g, signs_.mean[n]};
     auto three = out.middleRows<3>(3 * static_cast<Eigen::Index>(n));
     for (std::size_t c = 0; c < columns.size(); ++c)
       three.col(static_cast<Eigen::Index>(c)) =

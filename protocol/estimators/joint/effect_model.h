@@ -77,8 +77,11 @@ class EffectModel {
   int experiment_of(std::size_t n) const { return readings_[n].experiment; }
   double step_factor(std::size_t n) const { return readings_[n].step_factor; }
 
+  /// Noise of the readings, with what the signs of the hysteresis leave unknown.
   /// @param white  standard deviations of the outputs' white noise, over the u given
   std::vector<NoiseAtAngle> noise_at_angles(const Eigen::Vector3d& white) const;
+  /// The same without the signs.
+  std::vector<NoiseAtAngle> stated_noise_at_angles(const Eigen::Vector3d& white) const;
   /// @param tau  in units of each output's median u
   NoiseProcess process_of(double tau, double rho) const;
   /// Least white noise over the u given that is not round-off.
@@ -90,17 +93,17 @@ class EffectModel {
   /// Line response at another value of the unknowns.
   Vector12 line_values_at(const Eigen::VectorXd& value) const;
 
-  /// Signs for the hysteresis at each reading (ItemPoint::came_from).
-  const std::vector<Eigen::Vector3d>& came_from() const { return came_from_; }
+  const HysteresisSigns& signs() const { return signs_; }
   /// Takes the signs of the responses at this point.
-  /// @return false: nothing changed, because they are the same, no hysteresis is fitted, or the options state
-  ///         the signs
-  bool take_directions();
-  /// Changes of the relative responses of u, v, w from the reading before, at this point (3 N), and their
-  /// derivatives by the unknowns: of first order, without the small slopes of the item's effects. Zero at the
-  /// first reading.
-  Eigen::VectorXd changes() const;
-  ReadingRows changes_by_unknowns() const;
+  /// @param covariance_root  R of the covariance R R' of the unknowns
+  /// @return false: nothing changed, because they are nearly the same, no hysteresis is fitted, or the
+  /// options
+  ///         state the signs
+  bool take_signs(const Eigen::MatrixXd& covariance_root);
+  /// The mean signs (HysteresisSigns) at another point whose responses are known as well as where the signs
+  /// were taken. Before, and without hysteresis: as came_from_at() gives them.
+  std::vector<Eigen::Vector3d> mean_signs_at(const Eigen::VectorXd& value,
+                                             const std::vector<double>& steps) const;
   /// Numbers of the unknowns of the hysteresis of u, v, w; empty: it is not fitted.
   std::vector<Eigen::Index> hysteresis_unknowns() const;
   /// The signs of the responses themselves at another point.
@@ -108,7 +111,7 @@ class EffectModel {
   std::vector<Eigen::Vector3d> came_from_at(const Eigen::VectorXd& value,
                                             const std::vector<double>& steps) const;
   /// Readings of the model at another point, without derivatives (3 N).
-  /// @param came_from  as came_from() gives them
+  /// @param came_from  signs for the hysteresis, or their means
   Eigen::VectorXd readings_at(const Eigen::VectorXd& value, const std::vector<double>& steps,
                               const std::vector<Eigen::Vector3d>& came_from) const;
 
@@ -129,7 +132,12 @@ class EffectModel {
   bool is_in_run(const StageEffect& effect) const;
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
-  void find_directions();
+  void find_signs();
+  /// Changes of the relative responses of u, v, w from the reading before (3 N). Zero at the first reading.
+  Eigen::VectorXd changes_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const;
+  /// Their derivatives by the unknowns at this point, of first order, without the small slopes of the item's
+  /// effects.
+  ReadingRows changes_by_unknowns() const;
   Eigen::Matrix3d rows_of(const Eigen::VectorXd& value) const;
   StageInputs inputs_at(std::size_t n) const { return inputs_at(n, value_, step_); }
   StageInputs inputs_at(std::size_t n, const Eigen::VectorXd& value, const std::vector<double>& steps) const;
@@ -145,7 +153,9 @@ class EffectModel {
   std::vector<StageShare> shares_;  ///< Shares of the stage unknowns in reading 0, in reading 1, ...
   Eigen::Vector3d unit_;
   Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
-  std::vector<Eigen::Vector3d> came_from_;
+  HysteresisSigns signs_;
+  Eigen::VectorXd
+      u_change_;  ///< Standard uncertainties of the changes where the signs were taken (3 N); or empty.
   Eigen::VectorXd prior_weight_, prior_mean_;
   double step_sd_ = 0.0;
 

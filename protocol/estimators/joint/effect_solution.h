@@ -6,7 +6,6 @@
 
 #include "protocol/estimators/joint/effect_fit.h"
 #include "protocol/estimators/joint/effect_model.h"
-#include "protocol/estimators/joint/line_response.h"
 #include "protocol/estimators/joint/noise_search.h"
 
 namespace abcal {
@@ -19,7 +18,6 @@ struct EffectSolution {
   std::vector<double> weights;          ///< Their posterior probabilities.
   std::vector<double> log_likelihoods;  ///< Log-likelihoods of the readings at each noise.
   WhiteFound white;
-  std::vector<UnknownSign> unknown_signs;  ///< For the hysteresis.
 };
 
 /// As effect_fit(). The readings must outlive the solution.

@@ -36,6 +36,7 @@ std::vector<Deviation> predict(const std::vector<EffectReading>& all, const Effe
   const EffectFit& fit = without.fit;
   EffectModel model(all, options);
   model.move_to(*without.model, std::vector<double>(all.size(), 0.0));
+  if (model.layout().count() == fit.covariance_root.rows()) model.take_signs(fit.covariance_root);
   const Eigen::Index item = model.layout().first_stage();
   const int own = model.layout().own_count();
   const std::vector<NoiseAtAngle> noise = model.noise_at_angles(fit.noise.white);

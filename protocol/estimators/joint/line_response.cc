@@ -6,8 +6,6 @@
 #include <cstddef>
 #include <utility>
 
-#include "protocol/estimators/shared/reading_kernels.h"
-
 namespace abcal {
 namespace {
 
@@ -41,41 +39,18 @@ ShareGroups share_groups(const EffectModel& model) {
   return out;
 }
 
-std::vector<UnknownSign> unknown_signs(const EffectModel& model, const ShareGroups& groups,
-                                       const Eigen::MatrixXd& covariance_root) {
-  constexpr double kNegligible = 1e-6;
-  std::vector<UnknownSign> out;
+void add_share_of_signs(const EffectModel& model, const ShareGroups& groups, LineAtNoise& line) {
   const std::vector<Eigen::Index> hysteresis = model.hysteresis_unknowns();
-  if (hysteresis.empty()) return out;
-  const Eigen::VectorXd change = model.changes();
-  Eigen::VectorXd variance =
-      times_upper(model.changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
-  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(Eigen::Vector3d::Ones());
-  for (std::size_t n = 1; n < angles.size(); ++n)
-    variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
-        model.step_sd() * model.step_sd() *
-        (angles[n].by_step.cwiseAbs2() + angles[n - 1].by_step.cwiseAbs2());
-  for (Eigen::Index row = 3; row < change.size(); ++row) {
-    const auto unknown = static_cast<std::size_t>(hysteresis[static_cast<std::size_t>(row % 3)]);
-    const double mean_sign = std::erf(change(row) / std::sqrt(2.0 * variance(row)));
-    const double sign = model.came_from()[static_cast<std::size_t>(row / 3)](row % 3);
-    const double wrong = 1.0 - 2.0 * sign * mean_sign + sign * sign;  // mean square of true - taken
-    if (!(wrong > kNegligible)) continue;
-    const auto at = static_cast<Eigen::Index>(unknown);
-    const double size =
-        std::max(model.unknowns()[unknown].prior_sd,
-                 std::sqrt(std::pow(model.value()(at), 2) + covariance_root.row(at).squaredNorm()));
-    out.push_back({row, groups.of_unknown[unknown], wrong * size * size});
-  }
-  return out;
-}
-
-void add_unknown_signs(std::span<const UnknownSign> signs, LineAtNoise& line) {
-  for (const UnknownSign& one : signs) {
-    const Vector12 by_reading = line.gain.row(one.reading).transpose();
-    const Covariance12 added = one.variance * by_reading * by_reading.transpose();
-    line.covariance += added;
-    line.shares[static_cast<std::size_t>(one.group)] += added;
+  if (hysteresis.empty()) return;
+  Covariance12& share =
+      line.shares[static_cast<std::size_t>(groups.of_unknown[static_cast<std::size_t>(hysteresis.front())])];
+  for (std::size_t n = 0; n < model.angles(); ++n) {
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      const double variance = model.signs().variance[n](j);
+      if (!(variance > 0.0)) continue;
+      const Vector12 by_reading = line.gain.row(3 * static_cast<Eigen::Index>(n) + j).transpose();
+      share += variance * by_reading * by_reading.transpose();
+    }
   }
 }
 
@@ -116,7 +91,7 @@ void keep_stated_noise(const LineAtNoise& at_stated, EffectFit& fit) {
 
 void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& found,
                                     const ReadingRows& gain, EffectFit& fit) {
-  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(found.white);
+  const std::vector<NoiseAtAngle> angles = model.stated_noise_at_angles(found.white);
   Eigen::Matrix<double, 12, 3> by_output = Eigen::Matrix<double, 12, 3>::Zero();
   for (std::size_t n = 0; n < angles.size(); ++n) {
     const auto three = gain.middleRows<3>(3 * static_cast<Eigen::Index>(n));

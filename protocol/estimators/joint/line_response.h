@@ -27,23 +27,9 @@ struct ShareGroups {
 
 ShareGroups share_groups(const EffectModel& model);
 
-/// A reading of one output whose response may have changed in the other direction than the fit says: the
-/// fit's sign for its hysteresis may be wrong.
-struct UnknownSign {
-  Eigen::Index reading = 0;  ///< Its row among the 3 N.
-  int group = 0;             ///< Of the hysteresis, in ShareGroups.
-  double variance = 0.0;     ///< Mean square of the reading's error that follows, relative.
-};
-
-/// The signs that the model's point does not determine. With a change D of standard uncertainty u, the true
-/// sign is 1 with the probability Phi(D / u).
-/// @param covariance_root  R of the covariance R R' of the unknowns
-std::vector<UnknownSign> unknown_signs(const EffectModel& model, const ShareGroups& groups,
-                                       const Eigen::MatrixXd& covariance_root);
-
-/// Adds what the signs leave unknown to the covariance of the line response and to the share of the
-/// hysteresis. The line has its gain already.
-void add_unknown_signs(std::span<const UnknownSign> signs, LineAtNoise& line);
+/// Adds what the signs of the hysteresis leave unknown to its share: it is part of the noise, and so of the
+/// covariance already. The line has its gain.
+void add_share_of_signs(const EffectModel& model, const ShareGroups& groups, LineAtNoise& line);
 
 /// The line response averaged over the noises, with its degrees of freedom and the shares of the priors, into
 /// `fit`; relative units.

@@ -145,6 +145,7 @@ WhiteFound estimate_white(const EffectModel& model) {
     ReadingRows spread = times_upper(at.whitened_jacobian, at.normal.covariance_root());
     at.whitener->whiten_transposed(spread);
     const std::vector<NoiseAtAngle> angles = model.noise_at_angles(white);
+    const std::vector<NoiseAtAngle> estimated = model.stated_noise_at_angles(white);
     Eigen::Vector3d squares = Eigen::Vector3d::Zero();
     Eigen::Vector3d& redundancy = found.redundancy;
     redundancy.setZero();
@@ -155,8 +156,8 @@ WhiteFound estimate_white(const EffectModel& model) {
       const Eigen::Matrix3d inverse = v.llt().solve(Eigen::Matrix3d::Identity());
       for (int j = 0; j < 3; ++j) {
         const auto row = static_cast<Eigen::Index>(3 * n) + j;
-        squares(j) += angles[n].white(j) * product(row, 0) * product(row, 0);
-        redundancy(j) += angles[n].white(j) * (inverse(j, j) - spread.row(row).squaredNorm());
+        squares(j) += estimated[n].white(j) * product(row, 0) * product(row, 0);
+        redundancy(j) += estimated[n].white(j) * (inverse(j, j) - spread.row(row).squaredNorm());
       }
     }
     if (!(redundancy.minCoeff() >= 0.5)) {

@@ -421,7 +421,7 @@ LineAtNoise Tray::line_of(std::size_t k, const AssumedNoise& noise, const Reduce
   reduced.whitener->whiten(out.gain);
   reduced.whitener->whiten_transposed(out.gain);
   if (noise.tau > 0.0) out.gain.rightCols<3>() += rows.mean_weights;
-  add_unknown_signs(members_[k].own->unknown_signs, out);
+  add_share_of_signs(item, groups_of(k), out);
   return out;
 }
 

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "protocol/estimators/joint/noise_search.h"
 #include "protocol/estimators/shared/normal_matrix.h"
 #include "protocol/estimators/shared/reading_kernels.h"
 #include "protocol/linear/products.h"
@@ -14,9 +15,8 @@
 namespace abcal {
 namespace {
 
-/// Changes of the signs for the hysteresis, each with a minimisation of its own. Signs that are still not
-/// those of their own solution are of responses that change by less than the readings tell.
-constexpr int kMostDirections = 5;
+/// Changes of the signs for the hysteresis, each with a minimisation of its own.
+constexpr int kMostSigns = 5;
 
 /// The three readings of one angle.
 template <class Rows>
@@ -28,8 +28,16 @@ class WhiteNoiseProblem : public SumOfSquares {
  public:
   explicit WhiteNoiseProblem(EffectModel& model) : model_(model) {
     weight_.resize(3 * static_cast<Eigen::Index>(model.angles()));
-    const std::vector<NoiseAtAngle> angles = model.noise_at_angles(Eigen::Vector3d::Ones());
-    for (std::size_t n = 0; n < angles.size(); ++n) of_angle(weight_, n) = angles[n].white.cwiseInverse();
+    take_noise();
+  }
+
+  /// Takes the signs for the hysteresis of the present point, and the noise with them.
+  /// @return false: nothing changed
+  bool take_signs() {
+    const AtNoise here = solve_at(model_, {.step_sd = model_.step_sd()});
+    if (!model_.take_signs(here.normal.covariance_root())) return false;
+    take_noise();
+    return true;
   }
 
   double cost() override {
@@ -85,6 +93,11 @@ class WhiteNoiseProblem : public SumOfSquares {
   double reciprocal_condition() const { return normal_.reciprocal_condition(); }
 
  private:
+  void take_noise() {
+    const std::vector<NoiseAtAngle> angles = model_.noise_at_angles(Eigen::Vector3d::Ones());
+    for (std::size_t n = 0; n < angles.size(); ++n) of_angle(weight_, n) = angles[n].white.cwiseInverse();
+  }
+
   /// Prior of one step error, without the readings (radian). Damping keeps it near its present value.
   struct StepPrior {
     double mean = 0.0;
@@ -142,7 +155,7 @@ WhiteNoiseFit fit_with_white_noise(EffectModel& model) {
   out.minimum = minimise(problem);
   // An output along a rotation axis changes as the inclinations of the axes say, which only the solution
   // knows.
-  for (int pass = 0; pass < kMostDirections && out.minimum.found && model.take_directions(); ++pass) {
+  for (int pass = 0; pass < kMostSigns && out.minimum.found && problem.take_signs(); ++pass) {
     const int before = out.minimum.iterations;
     out.minimum = minimise(problem);
     out.minimum.iterations += before;

@@ -11,7 +11,7 @@ struct WhiteNoiseFit {
 };
 
 /// Takes the model to its least-squares solution with white noise of the uncertainties given; the step errors
-/// without memory /// without memory are eliminated. The signs for the hysteresis are those of the solution.
+/// without memory are eliminated. The signs for the hysteresis are those of the solution.
 WhiteNoiseFit fit_with_white_noise(EffectModel& model);
 
 }  // namespace abcal

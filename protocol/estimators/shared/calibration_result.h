@@ -170,7 +170,7 @@ struct NormAgreement {
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
   std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
-  /// Of the turns to the second face before experiments 1, 2, 3 (degree); only in a run of two faces.
+  /// Errors of the turns to the second face before experiments 1, 2, 3 (degree); only in a run of two faces.
   std::optional<std::array<Quantity, 3>> turn_error_face_2;
   std::array<Quantity, 2> mean_step_error;  ///< F_X, F_Z (degree)
   std::array<std::vector<Quantity>, 3>

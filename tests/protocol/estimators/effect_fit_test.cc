@@ -193,10 +193,12 @@ double log_evidence_of(const std::vector<EffectReading>& readings, const EffectF
 }
 
 // By its definition: the fit made with the larger size. The densities of the priors are no part of a
-// restricted likelihood: ten times as wide is a tenth as high, for each unknown.
-TEST(SizeEvidenceTest, IsTheRatioOfTheDensities) {
+// restricted likelihood: ten times as wide is a tenth as high, for each unknown. The signs for the hysteresis
+// stay.
+void expect_ratio_of_densities(bool noise_process, double tolerance) {
   const std::vector<EffectReading> readings = short_run(16, 1e-5);
-  const EffectFitOptions stated;
+  EffectFitOptions stated;
+  stated.noise_process = noise_process;
   EffectModel model(readings, stated);
   ASSERT_TRUE(fit_with_white_noise(model).minimum.found);
   const NoiseSearch search = search_noise(model);
@@ -208,19 +210,30 @@ TEST(SizeEvidenceTest, IsTheRatioOfTheDensities) {
     ADD_FAILURE() << key;
     return 0.0;
   };
+  stated.signs = model.signs();
   EffectFitOptions larger = stated;
   larger.sizes.hysteresis *= 10.0;
   EXPECT_NEAR(ratio_of("hysteresis"),
-              log_evidence_of(readings, larger) - search.log_evidence - 3.0 * std::log(10.0), 0.02);
+              log_evidence_of(readings, larger) - search.log_evidence - 3.0 * std::log(10.0), tolerance);
   larger = stated;
   larger.sizes.wobble_urad *= 10.0;
   EXPECT_NEAR(ratio_of("wobble_urad"),
-              log_evidence_of(readings, larger) - search.log_evidence - 24.0 * std::log(10.0), 0.2);
+              log_evidence_of(readings, larger) - search.log_evidence - 24.0 * std::log(10.0), tolerance);
   larger = stated;
   larger.sizes.step = larger.sizes.step * 10.0;
   larger.noise_process = false;
   EXPECT_NEAR(ratio_of("step_deg"), log_evidence_of(readings, larger) - search.log_evidence, 0.02);
   for (const SizeEvidence& one : found) EXPECT_LT(one.log_ratio, 0.0) << one.key;  // nothing is larger here
+}
+
+TEST(SizeEvidenceTest, IsTheRatioOfTheDensities) {
+  expect_ratio_of_densities(false, 0.01);
+}
+
+// The probability of white noise alone is that of the size that fits best, which the larger size changes a
+// little.
+TEST(SizeEvidenceTest, IsTheRatioOfTheDensitiesAveragedOverTheNoises) {
+  expect_ratio_of_densities(true, 0.2);
 }
 
 }  // namespace
