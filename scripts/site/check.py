@@ -30,6 +30,9 @@ PICTURES = {
     "console-*.png": "cmake --build build/release --target console_screenshots",
     "certificate.png": "a page of the PDF of `abcal issue`",
     "temperature.png": "a page of the PDF of `abcal temperature`",
+    "demo.svg": "scripts/docs --recordings",
+    "init.svg": "scripts/docs --recordings",
+    "interrupted.svg": "scripts/docs --recordings",
 }
 LONGEST_S = 60
 
