@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 
+#include "protocol/linear/products.h"
 #include "protocol/model/forward_model.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b_kernel.h"
@@ -50,6 +51,32 @@ void check(const TypeBStudy& study) {
   }
 }
 
+/// The sums of an experiment's step errors f ~ N(0, step): sum over n of w_X(n) cos alpha(n) sin f(n), X = A,
+/// B, C, and of w_X sin alpha sin f. A sine has the variance (1 - exp(-2 step^2))/2.
+std::array<double, 36> root_of_sums(const RotationFit& fit, double step) {
+  Eigen::MatrixXd rows(fit.weights.rows(), 6);
+  for (Eigen::Index x = 0; x < 3; ++x) {
+    rows.col(x) = fit.weights.col(x).cwiseProduct(fit.cos_alpha);
+    rows.col(3 + x) = fit.weights.col(x).cwiseProduct(fit.sin_alpha);
+  }
+  const double variance = -0.5 * std::expm1(-2.0 * step * step);
+  const Eigen::MatrixXd covariance = variance * transposed_product(rows, rows);
+  // Cholesky's factor; a sum that follows from those before it (sin alpha cos alpha stands twice) has no
+  // column. Unlike eigenvectors it depends on the last bits of the covariance no more than they do.
+  constexpr double kFollows = 1e-12;
+  Eigen::Matrix<double, 6, 6, Eigen::RowMajor> root = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>::Zero();
+  for (Eigen::Index k = 0; k < 6; ++k) {
+    const double left = covariance(k, k) - root.row(k).head(k).squaredNorm();
+    if (!(left > kFollows * covariance.diagonal().maxCoeff())) continue;
+    root(k, k) = std::sqrt(left);
+    for (Eigen::Index i = k + 1; i < 6; ++i)
+      root(i, k) = (covariance(i, k) - root.row(i).head(k).dot(root.row(k).head(k))) / root(k, k);
+  }
+  std::array<double, 36> out{};
+  std::copy_n(root.data(), out.size(), out.begin());
+  return out;
+}
+
 TypeBSampler::Plan plan_of(const TypeBStudy& study) {
   TypeBSampler::Plan plan;
   for (std::size_t i = 0; i < 3; ++i) {
@@ -88,6 +115,11 @@ TypeBSampler::Plan plan_of(const TypeBStudy& study) {
   plan.turn = study.tolerances.initial_turn.rad();
   plan.zero = study.tolerances.zero.rad();
   plan.harmonic = study.step_errors == StepErrorModel::kHarmonic;
+  plan.by_sums = !plan.harmonic && !study.each_step && plan.step > 0.0 &&
+                 study.tolerances.step.deg() <= kMostSummedDegrees;
+  plan.mean_cosine = std::exp(-0.5 * plan.step * plan.step);
+  for (std::size_t i = 0; i < 3 && plan.by_sums; ++i)
+    plan.sum_root[i] = root_of_sums(study.design.experiments()[i], plan.step);
   plan.seed = study.seed;
   return plan;
 }

@@ -38,8 +38,14 @@ struct TypeBStudy {
   double accelerometer_spread = 0.0;
   Tolerances tolerances;  ///< drift is not drawn.
   StepErrorModel step_errors = StepErrorModel::kIndependent;
+  /// Draws each independent step error: the reference. Else those of an experiment act through their six sums
+  /// in the fit, which are drawn, where their tolerance is at most kMostSummedDegrees.
+  bool each_step = false;
   std::uint64_t seed = 1;
 };
+
+/// Above it (degrees) the cosines of step errors vary by more than 0.15 % of what their sines do.
+inline constexpr double kMostSummedDegrees = 0.1;
 
 /// @throws std::invalid_argument for a tolerance that is negative, not finite, or above 4 degrees (step
 /// errors of the harmonic model: 0.5 degrees)
@@ -67,7 +73,8 @@ StudyOutput true_outputs(const AccelerometerUnderTest& accelerometer, const Alig
 StudyOutput abc_errors(const AbcDesign& design, const AccelerometerUnderTest& accelerometer,
                        const AcsErrors& errors);
 
-/// The inputs of one trial of a study as TypeBSampler draws them, one by one, for checks and for examples.
+/// The inputs of one trial of a study as TypeBSampler draws them with `each_step`, one by one, for checks and
+/// for examples.
 struct TypeBDraw {
   AccelerometerUnderTest accelerometer;
   AcsErrors errors;
@@ -98,6 +105,11 @@ class TypeBSampler {
     // Harmonic model: sin m alpha(n), cos m alpha(n) for m = 1..N/2, angle by angle.
     std::array<std::vector<double>, 3> spectrum;
     std::array<double, 12> accelerometer{};  // s row by row, O
+    /// Each experiment: R of the covariance R R' of the sums of w_A, w_B, w_C times cos alpha sin f, then
+    /// times sin alpha sin f, row by row; the mean of cos f. Used if by_sums.
+    std::array<std::array<double, 36>, 3> sum_root{};
+    double mean_cosine = 1.0;
+    bool by_sums = false;
     double spread = 0.0;
     double alignment = 0.0, step = 0.0, turn = 0.0, zero = 0.0;  // 1, rad
     bool harmonic = false;

@@ -3,7 +3,8 @@
 // docs/theory/model.md, "Turning gravity instead of the matrix": gravity seen from the accelerometer is p + q
 // cos(alpha + F + f) + t sin(alpha + F + f) with p, q, t constant in an experiment, and the fit is linear in
 // the readings. Thus the step errors only change six sums (A, B, C of the cosine and of the sine), and the
-// accelerometer is applied after them.
+// accelerometer is applied after them. Independent small step errors are drawn as these sums: a sum of many
+// is normal, and the cosines are near their mean.
 #include "protocol/uncertainty/type_b_kernel.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -124,6 +125,35 @@ HWY_INLINE void add_independent_steps(D d, const TypeBSampler::Plan& plan, const
   }
 }
 
+// The six sums drawn as such: cos(alpha + F + f) with the sums of cos alpha sin f and sin alpha sin f, then
+// turned by F.
+template <class D, class VU, class V = hn::Vec<D>>
+HWY_INLINE void draw_sums(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
+                          std::size_t i, V mean_step, std::uint32_t& pair, V (&w)[6]) {
+  constexpr auto kPurpose = static_cast<std::uint32_t>(StreamPurpose::kTypeB);
+  V first[3], second[3];
+  for (int k = 0; k < 3; ++k) normal_pair(d, keys, trial, pair++, kPurpose, first[k], second[k]);
+  const double* HWY_RESTRICT root = plan.sum_root[i].data();
+  V sums[6];
+  for (int r = 0; r < 6; ++r) {
+    sums[r] = hn::Zero(d);
+    for (int k = 0; k < 3; ++k) {
+      sums[r] = hn::Add(sums[r], hn::Mul(hn::Set(d, root[6 * r + 2 * k]), first[k]));
+      sums[r] = hn::Add(sums[r], hn::Mul(hn::Set(d, root[6 * r + 2 * k + 1]), second[k]));
+    }
+  }
+  V sin_f = hn::Zero(d), cos_f_minus_1 = hn::Zero(d);
+  if (plan.zero > 0.0) small_sincos(d, mean_step, sin_f, cos_f_minus_1);
+  const V cos_f = hn::Add(hn::Set(d, 1.0), cos_f_minus_1);
+  for (int k = 0; k < 3; ++k) {
+    const auto at = static_cast<std::size_t>(k);
+    const V cosine = hn::Sub(hn::Set(d, plan.mean_cosine * plan.nominal[i][at]), sums[3 + k]);
+    const V sine = hn::Add(hn::Set(d, plan.mean_cosine * plan.nominal[i][3 + at]), sums[k]);
+    w[k] = hn::Sub(hn::Mul(cos_f, cosine), hn::Mul(sin_f, sine));
+    w[3 + k] = hn::Add(hn::Mul(sin_f, cosine), hn::Mul(cos_f, sine));
+  }
+}
+
 // The six sums of one experiment; `pair` moves on past the random numbers that the experiment owns.
 template <class D, class VU, class V = hn::Vec<D>>
 HWY_INLINE void rotation_sums(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
@@ -132,6 +162,10 @@ HWY_INLINE void rotation_sums(D d, const TypeBSampler::Plan& plan, const PhiloxK
   const std::uint32_t n = plan.angles[i];
   const double* HWY_RESTRICT table = plan.table[i].data();
   const V step = hn::Set(d, plan.step);
+  if (plan.by_sums) {
+    draw_sums(d, plan, keys, trial, i, mean_step, pair, w);
+    return;
+  }
   for (V& sums : w) sums = hn::Zero(d);
   if (plan.harmonic) {
     const std::uint32_t harmonics = n / 2;

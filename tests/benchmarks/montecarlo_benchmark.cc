@@ -1,6 +1,7 @@
-// How long a whole trial of Simulation Set ABC1 takes (draw 219 normals and an accelerometer, model, fit,
-// intrinsic properties), compared with the two yardsticks of docs/uncertainty.md, and how a study scales with
-// threads. Prints the ratios at the end of one run.
+// How long a whole trial of Simulation Set ABC1 takes (draw errors and an accelerometer, model, fit,
+// intrinsic properties), by the sums of the step errors and step by step (219 normals), compared with the two
+// yardsticks of docs/uncertainty.md, and how a study scales with threads. Prints the ratios at the end of one
+// run.
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>
 
@@ -24,7 +25,7 @@ namespace {
 constexpr std::size_t kBatch = 1000;
 constexpr int kNormals = 219;  // Zx, Zy, Xz and 216 step errors
 constexpr std::uint32_t kPairs =
-    4 + 108 + 5;  // drawn by a trial: alignment and turns, step errors, accelerometer
+    4 + 9 + 5;  // drawn by a trial: alignment and turns, sums of step errors, accelerometer
 
 abcal::TypeBStudy abc1() {
   abcal::TypeBStudy study;
@@ -33,8 +34,10 @@ abcal::TypeBStudy abc1() {
   return study;
 }
 
-void BM_Abc1Trial(benchmark::State& state) {
-  const abcal::TypeBSampler sampler(abc1());
+void run_trials(benchmark::State& state, bool each_step) {
+  abcal::TypeBStudy study = abc1();
+  study.each_step = each_step;
+  const abcal::TypeBSampler sampler(study);
   std::vector<double> out(abcal::kStudyOutputs * kBatch);
   std::uint64_t first = 0;
   for (auto _ : state) {
@@ -44,7 +47,16 @@ void BM_Abc1Trial(benchmark::State& state) {
   }
   state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(kBatch));
 }
+
+void BM_Abc1Trial(benchmark::State& state) {
+  run_trials(state, false);
+}
 BENCHMARK(BM_Abc1Trial);
+
+void BM_Abc1TrialStepByStep(benchmark::State& state) {
+  run_trials(state, true);
+}
+BENCHMARK(BM_Abc1TrialStepByStep);
 
 void BM_ItsNormalsAlone(benchmark::State& state) {
   std::vector<double> out(kBatch);
@@ -176,6 +188,7 @@ class RatioReporter : public benchmark::ConsoleReporter {
                 "BM_Abc1NumPy/iterations:1/manual_time", " (required: 20)");
     print_ratio("219 std::normal_distribution over std::mt19937_64 alone:", "BM_StandardNormals219",
                 " (required: 1)");
+    print_ratio("the same, each of 216 step errors drawn:", "BM_Abc1TrialStepByStep", "");
     print_ratio("a trial with a spectrum of step errors (Eq. 14):", "BM_HarmonicTrial", "");
     if (const auto normals = find("BM_ItsNormalsAlone")) {
       fmt::print("  {:<58} {:6.0f} % of it\n", "its own random numbers:", 100.0 * *normals / *trial);

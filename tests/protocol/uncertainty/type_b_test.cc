@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <hwy/targets.h>
 
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <limits>
@@ -15,7 +16,8 @@ namespace {
 
 // The vector code against the plain forward model and fit of protocol/model and of abc_analysis, trial by
 // trial.
-void expect_the_sampler_does_what_the_plain_code_does(const TypeBStudy& study) {
+void expect_the_sampler_does_what_the_plain_code_does(TypeBStudy study) {
+  study.each_step = true;
   const TypeBSampler sampler(study);
   constexpr std::size_t kCount = 37;                               // no multiple of any vector's length
   constexpr std::uint64_t kFirst = (std::uint64_t{1} << 32) - 20;  // crosses the counter's low word
@@ -77,9 +79,7 @@ TEST(TypeBSamplerTest, DoesSoWithoutStepErrors) {
   expect_the_sampler_does_what_the_plain_code_does(study);
 }
 
-TEST(TypeBSamplerTest, EveryInstructionSetGivesTheSameBits) {
-  TypeBStudy study;
-  study.accelerometer_spread = 0.1;
+void expect_the_same_bits_of_every_instruction_set(const TypeBStudy& study) {
   const TypeBSampler sampler(study);
   constexpr std::size_t kCount = 101;
   std::vector<double> first;
@@ -93,6 +93,65 @@ TEST(TypeBSamplerTest, EveryInstructionSetGivesTheSameBits) {
   }
   hwy::SetSupportedTargetsForTest(0);
   hwy::GetChosenTarget().DeInit();
+}
+
+TEST(TypeBSamplerTest, EveryInstructionSetGivesTheSameBits) {
+  TypeBStudy study;
+  study.accelerometer_spread = 0.1;
+  for (const bool each_step : {false, true}) {
+    study.each_step = each_step;
+    expect_the_same_bits_of_every_instruction_set(study);
+  }
+}
+
+/// The covariance of the errors, and their means, by the sums and step by step: alike within sampling.
+void expect_sums_like_steps(TypeBStudy study) {
+  MonteCarloOptions options;
+  options.trials = 100'000;
+  const MonteCarloResult by_sums = run_type_b(study, options);
+  study.each_step = true;
+  study.seed += 1;
+  const MonteCarloResult by_steps = run_type_b(study, options);
+  const auto n = static_cast<double>(*options.trials);
+  for (int i = 0; i < kStudyOutputs; ++i) {
+    const double sd = by_steps.standard_deviation(i);
+    EXPECT_NEAR(by_sums.mean(i), by_steps.mean(i), 5.0 * sd * std::sqrt(2.0 / n)) << output_symbol(i);
+    // Products of two normal variables of correlation r have the variance 1 + r^2.
+    for (int k = 0; k <= i; ++k) {
+      const double scale = sd * by_steps.standard_deviation(k);
+      const double r = by_steps.covariance(i, k) / scale;
+      EXPECT_NEAR(by_sums.covariance(i, k) / scale, r, 5.0 * std::sqrt(2.0 * (1.0 + r * r) / n))
+          << output_symbol(i) << ' ' << output_symbol(k);
+    }
+  }
+}
+
+TEST(TypeBSamplerTest, TheSumsOfStepErrorsAreDrawnAsTheyAre) {
+  TypeBStudy study;
+  study.accelerometer = table_2_accelerometer();
+  study.tolerances = paper_tolerances();
+  study.tolerances.alignment = Angle();  // Step errors alone.
+  expect_sums_like_steps(study);
+  study.tolerances.zero = Angle::degrees(0.3);
+  study.tolerances.step = Angle::degrees(kMostSummedDegrees);
+  std::array<std::vector<Angle>, 3> alpha;
+  for (int n = 0; n < 17; ++n) alpha[0].push_back(Angle::degrees(20.0 * n));
+  for (int n = 0; n < 72; ++n) alpha[1].push_back(Angle::degrees(5.0 * n));
+  for (int n = 0; n < 12; ++n) alpha[2].push_back(Angle::degrees(30.0 * n));
+  study.design = AbcDesign::of_angles(alpha);
+  expect_sums_like_steps(study);
+}
+
+TEST(TypeBSamplerTest, LargeStepErrorsAreDrawnOneByOne) {
+  TypeBStudy study;
+  study.tolerances.step = Angle::degrees(2.0 * kMostSummedDegrees);
+  std::vector<double> out(kStudyOutputs), each(kStudyOutputs);
+  const TypeBSampler sampler(study);
+  sampler(0, 1, out.data());
+  study.each_step = true;
+  const TypeBSampler reference(study);
+  reference(0, 1, each.data());
+  EXPECT_EQ(out, each);
 }
 
 TEST(TypeBTest, TheNumberOfThreadsChangesNoBit) {
