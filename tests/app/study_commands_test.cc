@@ -64,6 +64,16 @@ class StudyCommands : public testing::Test {
   test::TemporaryFolder folder;
 };
 
+TEST_F(StudyCommands, OptionsThatAStudyDoesNotReadAreRefusedAtOnce) {
+  const ProgramResult robustness =
+      abcal({"simulate", "robustness", "--trials", "10", "--step", "0.01", "--csv", "a.csv"});
+  EXPECT_EQ(robustness.exit_code, 2);
+  EXPECT_THAT(robustness.err, AllOf(HasSubstr("found --trials, --step, --csv"), HasSubstr("--benches")));
+  const ProgramResult joint = abcal({"simulate", "joint", "--trials", "2", "--scale"});
+  EXPECT_EQ(joint.exit_code, 2);
+  EXPECT_THAT(joint.err, HasSubstr("found --scale;"));
+}
+
 TEST_F(StudyCommands, AnAccelerometerFromAFileIsTheOneThatIsSimulated) {
   test::write_file(folder / "aut.json",
                    R"({"sensitivity_matrix": [[2, 0, 0], [0, 3, 0], [0, 0, 4]], "offset": [0, 0, 0]})");

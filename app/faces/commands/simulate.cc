@@ -1,6 +1,7 @@
 #include "app/faces/commands/simulate.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <fstream>
@@ -118,7 +119,31 @@ void add_robustness_options(CLI::App& command, SimulateOptions& options) {
       ->delimiter(',');
 }
 
+/// Options that a study does not read would be ignored without a word.
+/// @param instead  the options that it does read
+void require_not_given(const SimulateOptions& options, bool reads_tolerances, bool reads_trials,
+                       const std::string& instead) {
+  std::vector<std::string> given;
+  const auto check = [&](bool is_given, const char* name) {
+    if (is_given) given.emplace_back(name);
+  };
+  check(options.trials && !reads_trials, "--trials");
+  check(options.alignment && !reads_tolerances, "--alignment");
+  check(options.step && !reads_tolerances, "--step");
+  check(options.initial_turn && !reads_tolerances, "--initial-turn");
+  check(options.zero && !reads_tolerances, "--zero");
+  check(!options.aut.empty(), "--aut");
+  check(options.scale, "--scale");
+  check(options.resolution, "--resolution");
+  check(!options.csv.empty(), "--csv");
+  check(!options.figures.empty(), "--figures");
+  if (!given.empty())
+    throw std::invalid_argument(fmt::format("simulate {}: found {}; this study reads {}", options.set,
+                                            fmt::join(given, ", "), instead));
+}
+
 int run_robustness_study(const SimulateOptions& options) {
+  require_not_given(options, false, false, "--benches, --scenarios, --seed, --threads and --json");
   RobustnessOptions study;
   study.benches = static_cast<int>(not_negative("--benches", options.benches));
   study.scenarios = options.scenarios;
@@ -128,6 +153,9 @@ int run_robustness_study(const SimulateOptions& options) {
 }
 
 int run_joint_study(const SimulateOptions& options) {
+  require_not_given(options, true, true,
+                    "--trials, --seed, --threads, --json, the sizes of errors in degrees, and the options "
+                    "under \"joint study\"");
   JointStudyOptions study = options.joint;
   study.trials = static_cast<int>(not_negative("--trials", options.trials.value_or(study.trials)));
   study.seed = not_negative("--seed", options.seed);
