@@ -46,6 +46,9 @@ double zero_prior(const EffectSizes& sizes) {
 double smooth_prior(const EffectSizes& sizes) {
   return sizes.step_smooth.rad();
 }
+double eccentric_prior(const EffectSizes& sizes) {
+  return sizes.step_eccentric.rad();
+}
 double wobble_prior(const EffectSizes& sizes) {
   return sizes.wobble_urad * 1e-6;
 }
@@ -101,6 +104,10 @@ constexpr std::array kStageEffects{
                 smooth_share<true>, smooth_name},
     StageEffect{"smooth step errors of Z", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
                 smooth_share<false>, smooth_name},
+    StageEffect{"eccentricity of X", "step_eccentric_deg", 2, "radian", eccentric_prior, smooth_share<true>,
+                smooth_name},
+    StageEffect{"eccentricity of Z", "step_eccentric_deg", 2, "radian", eccentric_prior, smooth_share<false>,
+                smooth_name},
     StageEffect{"wobble of X", "wobble_urad", 4 * kWobbleHarmonics, "radian", wobble_prior,
                 wobble_share<true>, wobble_name},
     StageEffect{"wobble of Z", "wobble_urad", 4 * kWobbleHarmonics, "radian", wobble_prior,

@@ -75,6 +75,8 @@ constexpr std::array kKeys{
     once_a_tolerance(angle<&EffectSizes::step>(kStage, "step_deg", 10.0, "step errors without memory")),
     further(angle<&EffectSizes::step_smooth>(kStage, "step_smooth_deg", 10.0,
                                              "smooth step errors, each coefficient to 6/rev")),
+    further(angle<&EffectSizes::step_eccentric>(kStage, "step_eccentric_deg", 10.0,
+                                                "step error with one period a turn, sine and cosine")),
     further(value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
                                              "wobble of the axes, each coefficient to 3/rev")),
     once_a_tolerance(value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order")),

@@ -58,6 +58,9 @@ struct EffectSizes {
   /// Each coefficient of a cyclic drift of the offset, 2 to 6 cycles over the run, relative to S_j; 0: not
   /// stated, and then not covered.
   double cyclic_drift = 0.0;
+  /// Sine and cosine of a step error with one period a turn, as of an eccentric encoder ring, in addition to
+  /// the smooth step errors; 0: not stated.
+  Angle step_eccentric = Angle::degrees(0.0);
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.

@@ -186,6 +186,8 @@ TEST(EffectKeysTest, TheExamplesOfThePageAreReadAsTheirTextSays) {
   EXPECT_EQ(sizes.zero.deg(), sizes.initial_turn.deg());
   EXPECT_NEAR(sizes.step.deg(), sizes.zero.deg() / std::sqrt(2.0), 2e-4);
   EXPECT_NEAR(sizes.step_smooth.deg(), sizes.step.deg() / std::sqrt(6.0), 5e-5);
+  EXPECT_NEAR(sizes.step_eccentric.deg(), 0.02 / std::sqrt(2.0), 5e-5);
+  EXPECT_EQ(sizes.shape_of("step_eccentric_deg"), Shape::kUShaped);
   EXPECT_NEAR(sizes.drift, 8.7e-5, 5e-7);
   EXPECT_NEAR(sizes.sensitivity_drift, 5.8e-5, 5e-7);
   EXPECT_NEAR(sizes.k2, 5.8e-4, 5e-6);

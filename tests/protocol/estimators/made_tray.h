@@ -46,7 +46,7 @@ class TrayMaker {
   void draw_stage() {
     std::vector<double> values;
     for (const StageEffect& effect : stage_effects()) {
-      if (effect.face == 2) continue;
+      if (effect.face == 2 || !(effect.prior(plan_.sizes) > 0.0)) continue;
       for (int i = 0; i < effect.count; ++i) values.push_back(effect.prior(plan_.sizes) * normal());
     }
     made.stage = Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
@@ -60,7 +60,7 @@ class TrayMaker {
       std::size_t at = 0;
       double& smooth = made.smooth.emplace_back(0.0);
       for (const StageEffect& effect : stage_effects()) {
-        if (effect.face == 2) continue;
+        if (effect.face == 2 || !(effect.prior(plan_.sizes) > 0.0)) continue;
         for (int u = 0; u < effect.count; ++u, ++at) {
           const StageShare share = effect.share(pose, u);
           if (effect.key == "step_smooth_deg") smooth += share.value * values[at];

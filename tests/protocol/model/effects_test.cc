@@ -23,15 +23,15 @@ StagePose pose_at(int experiment, double degrees, int face = 1) {
 TEST(EffectsTest, EverySizeBelongsToAKeyAndEveryUnknownHasAName) {
   std::set<std::string> keys;
   for (const EffectSizeKey& key : effect_size_keys()) keys.insert(std::string(key.key));
+  EffectSizes stated;
+  for (const EffectSizeKey& key : effect_size_keys()) key.set(stated, 1e-5);  // Some defaults are zero.
   for (const StageEffect& effect : stage_effects()) {
     EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name;
-    EXPECT_GT(effect.prior({}), 0.0) << effect.name;
+    EXPECT_GT(effect.prior(stated), 0.0) << effect.name;
     std::set<std::string> names;
     for (int i = 0; i < effect.count; ++i) names.insert(effect.unknown_name(i));
     EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name;
   }
-  EffectSizes stated;
-  for (const EffectSizeKey& key : effect_size_keys()) key.set(stated, 1e-5);  // Some defaults are zero.
   for (const ItemEffect& effect : item_effects()) {
     EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name;
     EXPECT_GT(effect.prior(stated), 0.0) << effect.name;

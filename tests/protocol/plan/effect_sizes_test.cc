@@ -49,9 +49,10 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
 TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
   const EffectSizes sizes = read_back(effect_size_entries({}));
   EXPECT_TRUE(sizes.sources.empty());
-  // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift) is no effect of this run.
-  EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }), 4);
-  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 4);
+  // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift, eccentricity) is no
+  // effect of this run.
+  EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }), 5);
+  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 5);
   EXPECT_EQ(sizes.wobble_urad, 50.0);
 }
 
