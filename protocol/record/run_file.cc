@@ -272,7 +272,7 @@ class WithoutWaitingForDisk {
 struct RunFile::Impl {
   Impl(std::filesystem::path file, SqliteDatabase opened)
       : path(std::move(file)), lock(path), database(std::move(opened)) {
-    database.execute("pragma journal_mode=wal");
+    database.use_write_ahead_log();
     database.execute(kWaitForDisk);
   }
 

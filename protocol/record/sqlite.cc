@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <thread>
 #include <utility>
 
 namespace abcal {
@@ -176,7 +177,7 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
   if (code != SQLITE_OK) {
     throw_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory");
   }
-  sqlite3_busy_timeout(database, 2000);
+  wait_at_most(patience_);
   // A file may come from any source: its schema runs no functions but harmless ones, and cannot be written
   // directly.
   sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
@@ -184,7 +185,18 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
 }
 
 void SqliteDatabase::wait_at_most(std::chrono::milliseconds patience) {
+  patience_ = patience;
   sqlite3_busy_timeout(handle_.get(), static_cast<int>(patience.count()));
+}
+
+void SqliteDatabase::use_write_ahead_log() {
+  constexpr auto kLookAgain = std::chrono::milliseconds(10);
+  constexpr const char* kSwitch = "pragma journal_mode=wal";
+  const auto deadline = std::chrono::steady_clock::now() + patience_;
+  while (!execute_unless_busy(kSwitch)) {
+    if (std::chrono::steady_clock::now() > deadline) return execute(kSwitch);  // It throws.
+    std::this_thread::sleep_for(kLookAgain);
+  }
 }
 
 void SqliteDatabase::execute(const std::string& sql) {

@@ -114,6 +114,9 @@ class SqliteDatabase {
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
   void wait_at_most(std::chrono::milliseconds patience);
+  /// Switches to a write-ahead log, for which SQLite does not wait by itself while another connection holds a
+  /// lock.
+  void use_write_ahead_log();
   void execute(const std::string& sql);
   /// Like execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
@@ -133,6 +136,7 @@ class SqliteDatabase {
     void operator()(sqlite3* database) const { sqlite3_close_v2(database); }
   };
   std::string file_;
+  std::chrono::milliseconds patience_{2000};
   std::unique_ptr<sqlite3, Close> handle_;
   std::shared_ptr<IdleStatements> idle_ = std::make_shared<IdleStatements>();
 };

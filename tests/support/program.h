@@ -38,6 +38,25 @@ inline std::string unwrapped(const std::string& text) {
   return std::regex_replace(text, std::regex("\\s+"), " ");
 }
 
+/// In a child process: becomes the program, which starts in the folder. Ends it where that is not possible.
+[[noreturn]] inline void become_program(const std::string& program, const std::vector<std::string>& arguments,
+                                        const std::filesystem::path& folder) {
+  if (::chdir(folder.c_str()) != 0) ::_exit(126);
+  std::vector<std::string> words{program};
+  words.insert(words.end(), arguments.begin(), arguments.end());
+  std::vector<char*> argv;
+  for (std::string& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  ::execv(program.c_str(), argv.data());
+  ::_exit(127);
+}
+
+/// The exit code that a process has ended with; 128 + signal if a signal ended it.
+/// @param status  as waitpid() gives it
+inline int exit_code_of_status(int status) {
+  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
 /// The program `abcal` in a process of its own, with its output in files of `folder`.
 class Program {
  public:
@@ -67,19 +86,12 @@ class Program {
       const int err = ::open(err_.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
       ::dup2(out, 1);
       ::dup2(err, 2);
-      if (::chdir(folder.c_str()) != 0) ::_exit(126);
       if (limits.file_size) {
         const rlimit limit{*limits.file_size, *limits.file_size};
         ::setrlimit(RLIMIT_FSIZE, &limit);
         ::signal(SIGXFSZ, SIG_IGN);
       }
-      std::vector<std::string> words{program};
-      words.insert(words.end(), arguments.begin(), arguments.end());
-      std::vector<char*> argv;
-      for (std::string& word : words) argv.push_back(word.data());
-      argv.push_back(nullptr);
-      ::execv(program.c_str(), argv.data());
-      ::_exit(127);
+      become_program(program, arguments, folder);
     }
   }
   Program(const Program&) = delete;
@@ -99,7 +111,7 @@ class Program {
     if (!exit_code_) {
       int status = 0;
       ::waitpid(pid_, &status, 0);
-      exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+      exit_code_ = exit_code_of_status(status);
     }
     return *exit_code_;
   }
@@ -108,7 +120,7 @@ class Program {
     if (exit_code_) return false;
     int status = 0;
     if (::waitpid(pid_, &status, WNOHANG) != pid_) return true;
-    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    exit_code_ = exit_code_of_status(status);
     return false;
   }
 

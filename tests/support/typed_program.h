@@ -32,15 +32,8 @@ class ProgramAtTerminal {
     child_ = ::forkpty(&terminal_, nullptr, nullptr, &size);
     if (child_ < 0) throw std::runtime_error("forkpty failed");
     if (child_ > 0) return;
-    if (::chdir(folder.c_str()) != 0) ::_exit(126);
     for (const auto& [name, value] : environment) ::setenv(name.c_str(), value.c_str(), 1);
-    std::vector<std::string> words{program};
-    words.insert(words.end(), arguments.begin(), arguments.end());
-    std::vector<char*> argv;
-    for (std::string& word : words) argv.push_back(word.data());
-    argv.push_back(nullptr);
-    ::execv(program.c_str(), argv.data());
-    ::_exit(127);
+    become_program(program, arguments, folder);
   }
   ProgramAtTerminal(const ProgramAtTerminal&) = delete;
   ProgramAtTerminal& operator=(const ProgramAtTerminal&) = delete;
@@ -78,7 +71,7 @@ class ProgramAtTerminal {
     if (!exit_code_) {
       int status = 0;
       ::waitpid(child_, &status, 0);
-      exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+      exit_code_ = exit_code_of_status(status);
     }
     return *exit_code_;
   }

@@ -9,7 +9,6 @@
 #include <utility>
 
 #include "app/faces/commands/commands.h"
-#include "app/faces/commands/terminal_listener.h"
 #include "app/ground/bench_file/bench_records.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
@@ -43,12 +42,17 @@ nlohmann::ordered_json findings_json(const std::vector<Finding>& findings) {
 
 }  // namespace
 
+TerminalListener::Options small_turn_at_terminal() {
+  return {.title = fmt::format("Turning both axes by {:g} degrees", kSmallTurnDeg),
+          .introduce = false,
+          .tell_what_is_kept = false};
+}
+
 std::vector<Finding> check_at_terminal(const BenchConfig& config, bool no_motion) {
   BenchStreams streams;
   streams.owner = "a check";
   Bench bench = make_bench(config, std::move(streams));
-  TerminalListener terminal(
-      {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
+  TerminalListener terminal(small_turn_at_terminal());
   std::vector<Finding> findings =
       check_bench(bench, config, {no_motion, terminal.listener(), interrupt_token()});
   terminal.finish();

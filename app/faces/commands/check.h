@@ -2,10 +2,14 @@
 
 #include <vector>
 
+#include "app/faces/commands/terminal_listener.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/operate/session/bench_check.h"
 
 namespace abcal {
+
+/// A progress bar for the small turn, and nothing else.
+TerminalListener::Options small_turn_at_terminal();
 
 /// Checks the bench as `abcal check` does, with a progress bar while it turns.
 /// @throws RunInterrupted, InstrumentError if a port cannot be opened

@@ -2,11 +2,11 @@
 
 #include <fmt/format.h>
 
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string_view>
 
 #include "app/faces/commands/example_file.h"
+#include "app/faces/commands/toml_string.h"
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/read_file.h"
 
@@ -17,11 +17,6 @@ void replace_first(std::string& text, std::string_view before, const std::string
   const std::size_t at = text.find(before);
   if (at == std::string::npos) throw std::logic_error(fmt::format("the example has no {}", before));
   text.replace(at, before.size(), now);
-}
-
-/// A string of TOML: the escapes of JSON are among those of TOML.
-std::string toml_string(const std::filesystem::path& path) {
-  return nlohmann::json(path.string()).dump();
 }
 
 std::string example_text(std::string_view path) {
@@ -48,8 +43,8 @@ std::string example_bench(const std::string& stage, const std::string& accelerom
 }  // namespace
 
 std::string demo_bench(const std::filesystem::path& folder, int steps) {
-  std::string text =
-      example_bench(toml_string(folder / "stage"), toml_string(folder / "accelerometer"), steps);
+  std::string text = example_bench(toml_string((folder / "stage").string()),
+                                   toml_string((folder / "accelerometer").string()), steps);
   text.insert(
       0,
       "# The bench of `abcal demo`. Its instruments are emulated over pseudo-terminals in real time. To "

@@ -11,13 +11,13 @@ namespace abcal {
 /// @throws std::invalid_argument if 360 degrees are no whole number of degrees for each step
 std::string demo_bench(const std::filesystem::path& folder, int steps);
 
-/// Conditions, plan and simulated truth of that example: the part of a bench file that an emulated bench
-/// needs besides its instruments.
-std::string emulated_sections();
-
 /// The same bench with the emulated instruments inside the program that reads it.
 /// @throws as demo_bench()
 std::string demo_bench_in_process(int steps);
+
+/// Conditions, plan and simulated truth of the same example: the part of a bench file that an emulated bench
+/// needs besides its instruments.
+std::string emulated_sections();
 
 /// Writes the bench file into the folder, as "bench.toml" or under the first free name: a file of another
 /// content stays as it is.

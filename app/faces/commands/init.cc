@@ -210,23 +210,22 @@ Turned turn_and_learn(const InitCommand& command, const BenchConfig& config, boo
     for (const StageAxis axis : kStageAxes) axes += axis_text(bench, config, identities, axis);
     confirm_motion(command, axes);
   }
-  TerminalListener terminal(
-      {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
+  TerminalListener terminal(small_turn_at_terminal());
   const std::vector<TurnedItem> items =
       measure_small_turn(bench, config, identities, terminal.listener(), interrupt_token());
   terminal.finish();
   if (!items.front().missing.empty())
     throw InstrumentError("accelerometer", Fault::kNoReply, items.front().missing);
   const AccelerometerInfo& info = identities.items.front().accelerometer;
+  const ItemNames names{info.maker, info.model, info.serial_number};
   const std::string& unit = info.output_unit;
   const MountingSearch search{unit, nominal_response({}, unit, config.g_loc.value_mps2), command.mounting};
   const StageInfo& stage = identities.stage;
   Turned turned{learn_mounting(items.front().poses, search),
-                name_of(stage.maker, stage.model, stage.serial_number),
-                name_of(info.maker, info.model, info.serial_number),
+                in_words(ItemNames{stage.maker, stage.model, stage.serial_number}),
+                in_words(names),
                 unit,
-                reported_by_item(config.items.front().accelerometer.driver, unit,
-                                 {info.maker, info.model, info.serial_number}),
+                reported_by_item(config.items.front().accelerometer.driver, unit, names),
                 0.0};
   turned.noise = items.front().poses.front().spread.maxCoeff() / turned.learned.response;
   return turned;

@@ -3,16 +3,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <nlohmann/json.hpp>
 
+#include "app/faces/commands/toml_string.h"
 #include "drivers/instrument/angle.h"
 
 namespace abcal {
 namespace {
 
-/// A string of TOML: the escapes of JSON are among those of TOML.
+/// A string of TOML, whatever bytes an instrument or a person gave.
 std::string quoted(const std::string& text) {
-  return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+  return toml_string(text, nlohmann::json::error_handler_t::replace);
 }
 
 /// A number that a person also reads as one that may have decimals.

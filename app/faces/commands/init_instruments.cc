@@ -11,6 +11,7 @@
 #include "app/faces/commands/init_answers.h"
 #include "app/faces/commands/init_question.h"
 #include "app/faces/commands/port_listing.h"
+#include "app/ground/bench_file/item_identity.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/text_layout.h"
@@ -20,7 +21,7 @@ namespace abcal {
 namespace {
 
 std::string name_of(const ProbeAnswer& answer) {
-  return abcal::name_of(answer.maker, answer.model, answer.serial_number);
+  return in_words(ItemNames{answer.maker, answer.model, answer.serial_number});
 }
 
 /// The instrument on a port, or why none was found. How a bench file names it is the work of init.
@@ -51,11 +52,6 @@ std::string numbered(const std::vector<Probed>& list) {
 }
 
 }  // namespace
-
-std::string name_of(const std::string& maker, const std::string& model, const std::string& serial_number) {
-  return fmt::format("{} {}{}{}", maker, model, serial_number.empty() ? "" : ", serial number ",
-                     serial_number);
-}
 
 Instruments::Instruments(std::string& stage, std::string& item, std::filesystem::path folder)
     : stage_answer_(stage), item_answer_(item), folder_(std::move(folder)) {

@@ -15,9 +15,6 @@ namespace abcal {
 /// The stage of an emulated bench, as an answer in place of a port.
 inline constexpr const char* kEmulated = "emulated";
 
-/// "Maker Model, serial number 7"
-std::string name_of(const std::string& maker, const std::string& model, const std::string& serial_number);
-
 /// The two instruments of a new bench: found on the ports and chosen by a person, or emulated as long as this
 /// lives.
 class Instruments {

@@ -82,11 +82,6 @@ void print_prediction(const PlanPrediction& plan, const WantedValues& wanted) {
   }
 }
 
-/// "3 x 72"; in two faces "6 x 36".
-std::string circles_and_angles(const ProtocolConfig& protocol) {
-  return fmt::format("{} x {}", 3 * protocol.faces, protocol.steps / protocol.faces);
-}
-
 void print_plan(const PlanPrediction& plan, double rate_hz) {
   const PlanDuration& duration = plan.duration;
   print_result("{} angles of {:g} deg, {} readings at each ({:.3g} s)\n", circles_and_angles(plan.protocol),

@@ -130,6 +130,11 @@ std::string difference(const IdentityPart& part) {
       part.words, part.reported, part.stated, part.key, part.key, part.reported);
 }
 
+std::string in_words(const ItemNames& names) {
+  return fmt::format("{} {}{}{}", names.maker, names.model,
+                     names.serial_number.empty() ? "" : ", serial number ", names.serial_number);
+}
+
 std::string describe_sources(const ItemIdentityParts& parts) {
   const std::string read = names_of(parts, KnownBy::kRead), stated = names_of(parts, KnownBy::kStated);
   std::string text;

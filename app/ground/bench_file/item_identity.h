@@ -36,6 +36,9 @@ struct ItemNames {
   std::string maker, model, serial_number;
 };
 
+/// "Maker Model, serial number 7"; without a serial number "Maker Model".
+std::string in_words(const ItemNames& names);
+
 /// One part of an item's identity, as the bench file states it and as the instrument reports it.
 struct IdentityPart {
   std::string key;       ///< "maker", "model", "serial_number", as in [item].

@@ -4,7 +4,6 @@
 
 #include <chrono>
 #include <string_view>
-#include <thread>
 #include <utility>
 
 #include "protocol/record/run_file.h"
@@ -43,18 +42,6 @@ template <class... Values>
 /// Longest wait for another program that writes the log.
 constexpr auto kPatience = std::chrono::seconds(10);
 
-/// Two programs may make a log at the same time, and SQLite does not wait by itself for the one that
-/// switches.
-void use_write_ahead_log(SqliteDatabase& database) {
-  constexpr auto kLookAgain = std::chrono::milliseconds(10);
-  constexpr const char* kSwitch = "pragma journal_mode=wal";
-  const auto deadline = std::chrono::steady_clock::now() + kPatience;
-  while (!database.execute_unless_busy(kSwitch)) {
-    if (std::chrono::steady_clock::now() > deadline) return database.execute(kSwitch);  // It throws.
-    std::this_thread::sleep_for(kLookAgain);
-  }
-}
-
 /// The request without what the witness has added.
 const WitnessRequest& request_of(const WitnessStatement& statement) {
   return statement;
@@ -70,7 +57,7 @@ WitnessLog::WitnessLog(const std::filesystem::path& path, std::string private_pe
       now_(std::move(now)),
       database_(path, SqliteDatabase::Mode::kCreate) {
   database_.wait_at_most(kPatience);
-  use_write_ahead_log(database_);
+  database_.use_write_ahead_log();  // Two programs may make a log at the same time.
   database_.execute("pragma synchronous=full");
   {
     Transaction transaction(database_);

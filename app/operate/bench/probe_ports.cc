@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "app/ground/bench_file/item_identity.h"
 #include "app/ground/system/real_clock.h"
 
 namespace abcal {
@@ -62,10 +63,9 @@ std::string in_words(const Probed& probed) {
   const std::string others = probed.answer->ports > 1
                                  ? fmt::format(", with {} more of its kind", probed.answer->ports - 1)
                                  : std::string();
-  return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}{}", probed.answer->maker, probed.answer->model,
-                     probed.answer->serial_number.empty() ? "" : ", serial number ",
-                     probed.answer->serial_number, probed.answer->driver, probed.answer->role(), others,
-                     axes_in_words(probed.answer->axes));
+  const ItemNames names{probed.answer->maker, probed.answer->model, probed.answer->serial_number};
+  return fmt::format("{}: driver = \"{}\" under [{}]{}{}", in_words(names), probed.answer->driver,
+                     probed.answer->role(), others, axes_in_words(probed.answer->axes));
 }
 
 nlohmann::ordered_json probed_json(const Probed& probed) {

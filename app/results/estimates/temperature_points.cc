@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/bench_file/item_identity.h"
 #include "app/results/estimates/analyses.h"
 #include "protocol/record/run_label.h"
 
@@ -89,8 +90,7 @@ std::vector<AnalysedSeries> analyse_series(const std::vector<std::filesystem::pa
   for (const StoredRun& run : first) {
     AnalysedSeries& series = all.emplace_back();
     const RunItem& item = run.own_item();
-    series.item = fmt::format("{} {}{}{}", item.maker, item.model,
-                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
+    series.item = in_words(ItemNames{item.maker, item.model, item.serial_number});
     series.response_unit = run.header.response_unit;
     series.performed = run.header.created_utc;
     series.g_loc_mps2 = run.record.g_loc.value_mps2;

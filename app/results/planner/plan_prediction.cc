@@ -82,10 +82,10 @@ Budget predicted_budget(const PlanningBench& bench, const ProtocolConfig& protoc
   const CalibrationResult result = analyse(record, protocol.estimator);
   if (!result.sensitivity_matrix) {
     throw std::invalid_argument(fmt::format(
-        "the {} estimator gives no sensitivity matrix from 3 x {} angles on this bench: {}; required: "
+        "the {} estimator gives no sensitivity matrix from {} angles on this bench: {}; required: "
         "[protocol] estimator = \"joint\" or \"abc\", and sizes of the effects that leave every output "
         "determined",
-        protocol.estimator, protocol.steps, result.why));
+        protocol.estimator, circles_and_angles(protocol), result.why));
   }
   return make_budget(record, result);
 }
@@ -100,6 +100,10 @@ LargestPart largest_part(const Budget& budget, int output) {
 }
 
 }  // namespace
+
+std::string circles_and_angles(const ProtocolConfig& protocol) {
+  return fmt::format("{} x {}", 3 * protocol.faces, protocol.steps / protocol.faces);
+}
 
 Eigen::Matrix3d usual_directions() {
   Eigen::Matrix3d rows;

@@ -32,6 +32,9 @@ struct PlanningBench {
   KnownItem item;
 };
 
+/// The circles of a run and the angles of each: "3 x 72"; in two faces "6 x 36".
+std::string circles_and_angles(const ProtocolConfig& protocol);
+
 /// The largest contribution to an uncertainty.
 struct LargestPart {
   std::string name;    ///< Name in the budget: "noise of the readings", "wobble of X".

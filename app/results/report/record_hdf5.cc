@@ -24,6 +24,7 @@ namespace abcal {
 namespace {
 
 constexpr const char* kNoUnit = "1";
+constexpr const char* kFaceMeaning = "1, or 2: the axis that stands is turned by 180 degrees more";
 
 using Attributes = std::map<std::string, DataNode::Attribute>;
 
@@ -173,7 +174,7 @@ void put_averaged(const Group& entry, const RunRecord& record) {
   put(data, "temperature", temperature, {size}, {"degree_Celsius", "temperature of the sensor"});
   put(data, "experiment", experiment, "rotation experiment 1, 2, 3");
   put(data, "n", n, "index of the angle from 1");
-  put(data, "face", face, "1, or 2: the axis that stands is turned by 180 degrees more");
+  put(data, "face", face, kFaceMeaning);
   put(data, "closing", closing, "1: the first angle measured again, not part of the fits");
   put(data, "count", count, "readings averaged");
   put(data, "lost", lost, "readings lost");
@@ -249,7 +250,7 @@ void put_readings(const Group& entry, const ReportData& data) {
   Wholes sequence(readings, "sequence", 1, {kNoUnit, "count of the accelerometer; a gap is a loss"});
   Wholes experiment(readings, "experiment", 1, {kNoUnit, "rotation experiment 1, 2, 3"});
   Wholes n(readings, "n", 1, {kNoUnit, "index of the angle from 1"});
-  Wholes face(readings, "face", 1, {kNoUnit, "1, or 2: the axis that stands is turned by 180 degrees more"});
+  Wholes face(readings, "face", 1, {kNoUnit, kFaceMeaning});
   Wholes closing(readings, "closing", 1, {kNoUnit, "1: the first angle measured again"});
   Wholes repeat(readings, "repeat", 1, {kNoUnit, "1: measured again for comparison; the first counts"});
   RunFile::read_dwells(

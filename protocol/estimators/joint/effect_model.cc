@@ -203,7 +203,7 @@ bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
   const std::vector<Eigen::Index> hysteresis = hysteresis_unknowns();
   if (options_.signs || hysteresis.empty()) return false;
   Eigen::VectorXd variance = times_upper(changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
-  for (std::size_t n = 1; n < readings_.size() && layout_.maps == 0; ++n)
+  for (std::size_t n = 1; n < readings_.size(); ++n)
     variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
         step_sd_ * step_sd_ * (by_step_[n].cwiseAbs2() + by_step_[n - 1].cwiseAbs2());
   u_change_ = variance.cwiseSqrt();
