@@ -40,6 +40,15 @@ struct AxisTruth {
   Angle step_error_sd;       ///< Standard deviation of an error drawn once for each pose of both axes.
   std::vector<ErrorHarmonic> harmonics;  ///< Systematic part of the map.
   Angle smooth_error_sd;  ///< Standard deviation of each coefficient of six harmonics drawn from the seed.
+  /// Standard deviation of an error drawn once for each angle of this axis, wherever the other one is.
+  Angle fine_map_sd;
+  // Parts that do not repeat, of which the seed draws others for each run (StageTruth::run).
+  Angle step_repeatability_sd;    ///< Drawn for each pose of both axes but where the axis is at 0 degrees.
+  Angle homing_repeatability_sd;  ///< Drawn once: moves all angles of the axis alike.
+  /// Standard deviation of the change of each value of the fine map after one month; it grows with the root
+  /// of StageTruth::age_months.
+  Angle growth_sd;
+  Angle knock_sd;  ///< Standard deviation of a change of each value of the fine map from knock_from_run on.
   std::vector<WobbleHarmonic> wobble;
   double wobble_sd_urad = 0.0;  ///< Standard deviation of each coefficient of three orders, from the seed.
   Angle backlash;               ///< Lag of the actual angle when a move ends in the negative direction.
@@ -133,6 +142,13 @@ struct ChamberTruth {
 /// The stage and its surroundings, which all items of a bench share. DrawnStage draws its random errors.
 struct StageTruth {
   std::uint64_t seed = 1;  ///< Seed of the stage's errors; item_seed() derives those of the items from it.
+  /// Number of the run on this stage. The noise, and all that the stage does not repeat, follow from the seed
+  /// and from this number, all else from the seed alone.
+  std::uint64_t run = 0;
+  double age_months = 0.0;           ///< Time since the stage was as its seed draws it (growth_sd).
+  std::uint64_t knock_from_run = 0;  ///< First run after a knock (knock_sd); 0: none.
+  /// Standard deviation of the tilt of the base about x and about y of the LGCS, drawn once for each run.
+  double floor_repeatability_urad = 0.0;
   ChamberTruth chamber;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 
@@ -164,6 +180,12 @@ constexpr std::uint64_t item_seed(std::uint64_t stage_seed, int item) {
   // Odd and far from any number that people choose: no item has the seed of another bench.
   constexpr std::uint64_t kBetweenItems = 0x9E3779B97F4A7C15;
   return stage_seed + static_cast<std::uint64_t>(item) * kBetweenItems;
+}
+
+/// The seed of what differs from run to run.
+constexpr std::uint64_t seed_of_run(std::uint64_t seed, std::uint64_t run) {
+  constexpr std::uint64_t kBetweenRuns = 0xD1B54A32D192ED03;  // As far from any number as kBetweenItems.
+  return seed + run * kBetweenRuns;
 }
 
 /// The truth of a simulated bench with one item. A run never sees it.

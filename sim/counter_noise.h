@@ -16,6 +16,12 @@ enum class NoiseStream : std::uint64_t {
   kFlicker = 7,
   kCorrelated = 8,
   kScenario = 9,  ///< Studies that draw whole benches.
+  kFineMap = 10,
+  kVisit = 11,
+  kHoming = 12,
+  kFloor = 13,
+  kGrowth = 14,
+  kKnock = 15,
 };
 
 /// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and

@@ -45,6 +45,12 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
           name + ".smooth_error_sd", axis.smooth_error_sd.deg(), ">= 0");
   require(axis.step_error_sd.deg() >= 0.0 && std::isfinite(axis.step_error_sd.deg()), name + ".step_error_sd",
           axis.step_error_sd.deg(), ">= 0");
+  for (const auto& [angle, what] : {std::pair(axis.fine_map_sd, ".fine_map_sd"),
+                                    {axis.step_repeatability_sd, ".step_repeatability_sd"},
+                                    {axis.homing_repeatability_sd, ".homing_repeatability_sd"},
+                                    {axis.growth_sd, ".growth_sd"},
+                                    {axis.knock_sd, ".knock_sd"}})
+    require(angle.deg() >= 0.0 && std::isfinite(angle.deg()), name + what, angle.deg(), ">= 0");
   require(axis.encoder_resolution.deg() >= 0.0 && std::isfinite(axis.encoder_resolution.deg()),
           name + ".encoder_resolution", axis.encoder_resolution.deg(), ">= 0");
   require(positive(axis.speed_deg_per_s), name + ".speed_deg_per_s", axis.speed_deg_per_s, "> 0");
@@ -59,6 +65,9 @@ StageTruth checked(StageTruth truth) {
   require(std::isfinite(truth.zx_per_degc), "zx_per_degc", truth.zx_per_degc, "finite");
   require(std::isfinite(truth.floor_tilt_x_urad), "floor_tilt_x_urad", truth.floor_tilt_x_urad, "finite");
   require(std::isfinite(truth.floor_tilt_y_urad), "floor_tilt_y_urad", truth.floor_tilt_y_urad, "finite");
+  require(truth.age_months >= 0.0 && std::isfinite(truth.age_months), "age_months", truth.age_months, ">= 0");
+  require(truth.floor_repeatability_urad >= 0.0 && std::isfinite(truth.floor_repeatability_urad),
+          "floor_repeatability_urad", truth.floor_repeatability_urad, ">= 0");
   if (!truth.sag_urad.allFinite()) refuse("sag_urad", "not finite", "finite");
   require(truth.zx * truth.zx + truth.zy * truth.zy < 1.0, "zx^2 + zy^2",
           truth.zx * truth.zx + truth.zy * truth.zy, "below 1");
@@ -94,9 +103,17 @@ DrawnStage::DrawnStage(StageTruth truth) : truth_(checked(std::move(truth))) {
   const double tilt_rad = std::atan2(E.norm(), up.dot(axis_z_));
   R_LP_rest_ = E.norm() > 0.0 ? Eigen::AngleAxisd(tilt_rad, E.normalized()).toRotationMatrix()
                               : Eigen::Matrix3d::Identity();
+  const std::uint64_t of_run = seed_of_run(truth_.seed, truth_.run);
+  if (truth_.floor_repeatability_urad > 0.0) {
+    const auto normal = normal_numbers(of_run, NoiseStream::kFloor, {});
+    floor_of_run_ =
+        kRadPerUrad * truth_.floor_repeatability_urad * Eigen::Vector3d(normal[0], normal[1], 0.0);
+  }
   for (const StageAxis axis : kStageAxes) {
     const std::size_t k = index(axis);
     const AxisTruth& a = truth_.axis(axis);
+    if (a.homing_repeatability_sd.deg() > 0.0)
+      homing_[k] = a.homing_repeatability_sd * normal_numbers(of_run, NoiseStream::kHoming, {k, 0, 0, 0})[0];
     harmonics_[k] = a.harmonics;
     for (int order = 1; order <= kDrawnErrorOrders && a.smooth_error_sd.deg() > 0.0; ++order) {
       const auto normal = normal_numbers(truth_.seed, NoiseStream::kSmoothError,
@@ -113,19 +130,41 @@ DrawnStage::DrawnStage(StageTruth truth) : truth_(checked(std::move(truth))) {
   }
 }
 
+double DrawnStage::fine_map_deg(std::size_t axis, std::uint64_t pose) const {
+  const AxisTruth& a = axis == 0 ? truth_.x : truth_.z;
+  const auto drawn = [&](NoiseStream stream) {
+    return normal_numbers(truth_.seed, stream, {pose, axis, 0, 0})[0];
+  };
+  double out = 0.0;
+  if (a.fine_map_sd.deg() > 0.0) out += a.fine_map_sd.deg() * drawn(NoiseStream::kFineMap);
+  if (const double grown = a.growth_sd.deg() * std::sqrt(truth_.age_months); grown > 0.0)
+    out += grown * drawn(NoiseStream::kGrowth);
+  if (a.knock_sd.deg() > 0.0 && truth_.knock_from_run > 0 && truth_.run >= truth_.knock_from_run)
+    out += a.knock_sd.deg() * drawn(NoiseStream::kKnock);
+  return out;
+}
+
 Angle DrawnStage::error(StageAxis axis, Angle commanded, Angle other_commanded) const {
   const AxisTruth& a = truth_.axis(axis);
   const std::uint64_t pose = canonical_pose(commanded);
-  if (pose == kPoseZero) return {};
-  if (pose == kPoseMinus90) return a.initial_turn_error;
-  double error = a.mean_step_error.deg();
+  const Angle homing = homing_[index(axis)];
+  if (pose == kPoseZero) return homing;
+  // Where an axis stands while the other one moves it has one error.
+  const bool may_stand =
+      pose == kPoseMinus90 || (truth_.stands_in_second_face && (pose == kPose90 || pose == kPose180));
+  const std::uint64_t other = may_stand ? kPoseZero : canonical_pose(other_commanded);
+  double error = homing.deg();
+  if (a.step_repeatability_sd.deg() > 0.0)
+    error +=
+        a.step_repeatability_sd.deg() * normal_numbers(seed_of_run(truth_.seed, truth_.run),
+                                                       NoiseStream::kVisit, {pose, other, index(axis), 0})[0];
+  if (pose == kPoseMinus90) return Angle::degrees(error + a.initial_turn_error.deg());
+  error += a.mean_step_error.deg() + fine_map_deg(index(axis), pose);
   for (const ErrorHarmonic& harmonic : harmonics_[index(axis)]) {
     const double phase = reduced_rad(harmonic.order * std::remainder(commanded.deg(), 360.0));
     error += harmonic.sin_coefficient.deg() * std::sin(phase) +
              harmonic.cos_coefficient.deg() * (std::cos(phase) - 1.0);
   }
-  const bool may_stand = truth_.stands_in_second_face && (pose == kPose90 || pose == kPose180);
-  const std::uint64_t other = may_stand ? kPoseZero : canonical_pose(other_commanded);
   if (a.step_error_sd.deg() > 0.0)
     error += a.step_error_sd.deg() *
              normal_numbers(truth_.seed, NoiseStream::kStepError, {pose, other, index(axis), 0})[0];

@@ -42,6 +42,9 @@ class DrawnStage {
   /// angles of both axes to a millionth of a degree, modulo 360 degrees.
   Angle error(StageAxis axis, Angle commanded, Angle other_commanded) const;
 
+  /// Tilt of the base about x, y, z of the LGCS in this run, without its change over the span, rad.
+  const Eigen::Vector3d& floor_of_run() const { return floor_of_run_; }
+
   /// Platter to base, of X and Z turned by these angles.
   /// @param axis_z  where the Z axis points by now: axis_z(), or turned by the temperature
   Eigen::Matrix3d orientation(const std::array<double, 2>& actual_rad,
@@ -50,10 +53,14 @@ class DrawnStage {
 
  private:
   Eigen::Matrix3d wobble(std::size_t axis, double turn_rad) const;
+  /// The error of an axis at an angle wherever the other axis is, other than its harmonics.
+  double fine_map_deg(std::size_t axis, std::uint64_t pose) const;
 
   StageTruth truth_;
   Eigen::Vector3d axis_x_, axis_z_;
   Eigen::Matrix3d R_LP_rest_;
+  Eigen::Vector3d floor_of_run_ = Eigen::Vector3d::Zero();
+  std::array<Angle, 2> homing_;                          ///< Drawn for the run.
   std::array<std::vector<ErrorHarmonic>, 2> harmonics_;  ///< Given and drawn.
   std::array<std::vector<WobbleHarmonic>, 2> wobble_;    ///< Given and drawn.
 };

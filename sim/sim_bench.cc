@@ -98,9 +98,11 @@ void check(const OutputTruth& truth) {
           "finite");
 }
 
-/// Returns the truth if all of its numbers are possible; nothing is constructed before this check.
-ItemTruth checked(ItemTruth truth) {
+/// Returns the truth, with the seed of its noise in this run, if all of its numbers are possible; nothing is
+/// constructed before this check.
+ItemTruth checked(ItemTruth truth, std::uint64_t run) {
   check(truth);
+  truth.seed = seed_of_run(truth.seed, run);
   return truth;
 }
 
@@ -115,7 +117,7 @@ SimBench::SimBench(const ItemTruth& item, const StageTruth& stage, Clock::Instan
                start) {}
 
 SimBench::SimBench(ItemTruth item, Platter platter, Clock::Instant start)
-    : item_(checked(std::move(item))),
+    : item_(checked(std::move(item), platter.stage->truth().run)),
       platter_(std::move(platter)),
       stage_(*platter_.stage),
       start_(start),
@@ -308,13 +310,15 @@ double SimBench::span_time(Clock::Instant t) const {
 /// Rotation from the base of the stage, which may tilt slowly, to the LGCS.
 Eigen::Matrix3d SimBench::floor_tilt(Clock::Instant t) const {
   const Eigen::Vector3d tilt(stage().floor_tilt_x_urad, stage().floor_tilt_y_urad, 0.0);
-  return turned_by(kMicro * span_time(t) * tilt);
+  return turned_by(kMicro * span_time(t) * tilt + stage_.floor_of_run());
 }
 
 /// Up, seen from the base of the stage.
 Eigen::Vector3d SimBench::up_in_base(Clock::Instant t) const {
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
-  if (stage().floor_tilt_x_urad == 0.0 && stage().floor_tilt_y_urad == 0.0) return up;
+  if (stage().floor_tilt_x_urad == 0.0 && stage().floor_tilt_y_urad == 0.0 &&
+      stage_.floor_of_run().isZero(0.0))
+    return up;
   return floor_tilt(t).transpose() * up;
 }
 

@@ -80,6 +80,11 @@ void visit_item_effect_sizes(KeyVisitor& keys, EffectSizes& sizes) {
 void visit_axis_effects(KeyVisitor& keys, sim::AxisTruth& axis) {
   keys.angle("smooth_error_deg", axis.smooth_error_sd, {0.0, 10.0});
   keys.number("wobble_urad", axis.wobble_sd_urad, {0.0, kMostUrad});
+  keys.angle("fine_map_deg", axis.fine_map_sd, {0.0, 10.0});
+  keys.angle("step_repeatability_deg", axis.step_repeatability_sd, {0.0, 10.0});
+  keys.angle("homing_repeatability_deg", axis.homing_repeatability_sd, {0.0, 10.0});
+  keys.angle("growth_deg", axis.growth_sd, {0.0, 10.0});
+  keys.angle("knock_deg", axis.knock_sd, {0.0, 10.0});
 }
 
 void visit_axis_wobble(KeyVisitor& keys, sim::AxisTruth& axis) {
@@ -124,6 +129,10 @@ void visit_output_effects(KeyVisitor& keys, sim::OutputTruth& s) {
 
 void visit_world_effects(KeyVisitor& keys, sim::StageTruth& s) {
   keys.number("span_s", s.span_s, {1.0, 1e9});
+  keys.seed("run", s.run);
+  keys.number("age_months", s.age_months, {0.0, 1200.0});
+  keys.seed("knock_from_run", s.knock_from_run);
+  keys.number("floor_repeatability_urad", s.floor_repeatability_urad, {0.0, kMostUrad});
   keys.number("floor_tilt_x_urad", s.floor_tilt_x_urad, kTilt);
   keys.number("floor_tilt_y_urad", s.floor_tilt_y_urad, kTilt);
   keys.vector("sag_urad", s.sag_urad, kTilt);

@@ -79,6 +79,11 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"File written by `abcal level`: axis zeros and tilt with their uncertainties. Empty: they are known "
         "only within `[stage_uncertainty]`.",
         ""}},
+      {"stage.record",
+       {"Stage record written by `abcal stage learn`: the joint estimator takes the stage from it, in place "
+        "of the "
+        "sizes in `[stage_uncertainty]`. The run keeps it. A record of another stage is refused.",
+        ""}},
       {"stage.AXIS.axis", {"The controller's name for the axis.", ""}},
       {"stage.AXIS.sign",
        {"`1`, or `-1` if the controller counts against the right-hand rule. 0 is refused.", ""}},
@@ -368,6 +373,16 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"The span: time, from the start of the simulated world, to which the effects \"over the span\" "
         "refer.",
         "s"}},
+      {"simulation.run",
+       {"Number of the run on this stage. The noise, and all that the stage does not repeat, follow from "
+        "`seed` "
+        "and this number, all else from `seed` alone.",
+        ""}},
+      {"simulation.age_months", {"Age of the stage, for `growth_deg`.", "month"}},
+      {"simulation.knock_from_run", {"First `run` after a knock, for `knock_deg`; 0: none.", ""}},
+      {"simulation.floor_repeatability_urad",
+       {"Standard deviation of the tilt of the base about x and about y, drawn once for each `run`.",
+        "urad"}},
       {"simulation.floor_tilt_x_urad",
        {"Tilt of the base about x over the span, zero at its middle.", "urad"}},
       {"simulation.floor_tilt_y_urad", {"Likewise about y.", "urad"}},
@@ -375,6 +390,22 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Bending under the load: the platform turns by the cross product of the upward direction and these "
         "angles, in its own coordinates.",
         "urad"}},
+      {"simulation.AXIS.fine_map_deg",
+       {"Standard deviation of an error drawn once for each angle of the axis, wherever the other one is.",
+        ""}},
+      {"simulation.AXIS.step_repeatability_deg",
+       {"Standard deviation of the part of the error that is drawn for each pose and `run`, except where the "
+        "axis is at 0 degrees.",
+        ""}},
+      {"simulation.AXIS.homing_repeatability_deg",
+       {"Standard deviation of the zero of the axis, drawn once for each `run`.", ""}},
+      {"simulation.AXIS.growth_deg",
+       {"Standard deviation of the change of each value of the fine map in one month; it grows with the root "
+        "of "
+        "`age_months`.",
+        ""}},
+      {"simulation.AXIS.knock_deg",
+       {"Standard deviation of the change of each value of the fine map by a knock (`knock_from_run`).", ""}},
       {"simulation.AXIS.smooth_error_deg",
        {"Standard deviation of each coefficient of smooth step errors of orders 1 to 6, drawn from the seed.",
         "degree"}},
