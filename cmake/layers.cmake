@@ -19,7 +19,7 @@ layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 # --- protocol ------------------------------------------------------------------------------------------------------------
 set(angle drivers/instrument/angle.h)
 # Estimators and uncertainty cannot even name an instrument.
-set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/ protocol/record/run_record.h protocol/model/)
+set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/ protocol/record/run_record.h protocol/record/stage_record.h protocol/model/)
 layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
 layer(protocol/linear FOREIGN Eigen/)
 layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h protocol/plan/tolerances.h FOREIGN Eigen/)

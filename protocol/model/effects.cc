@@ -231,6 +231,11 @@ bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, b
   return effect.prior(sizes) > 0.0;
 }
 
+std::string unknown_name(const StageEffect& effect, int index) {
+  const std::string which = effect.unknown_name(index);
+  return std::string(effect.name) + (which.empty() ? "" : ", ") + which;
+}
+
 std::span<const StageEffect> stage_effects() {
   return kStageEffects;
 }

@@ -39,6 +39,9 @@ struct StageEffect {
   int face = 1;  ///< 2: only a run of two faces has this effect.
 };
 
+/// "wobble of X, cos 1/rev, direction 2": the name of an unknown of the stage.
+std::string unknown_name(const StageEffect& effect, int index);
+
 /// The item at one pose. Responses are relative: y = s.g / S_j.
 struct ItemPoint {
   double t = 0.0;     ///< -1/2 to 1/2 over the run.

@@ -117,6 +117,7 @@ struct RunHeader {
   LimitsConfig limits;
   ExpectedItem expected;
   MeasuredAlignment measured_alignment;
+  std::string stage_record;  ///< The file of the record of the stage, as it was read; empty: none is used.
   Angle step = Angle::degrees(5.0);
   int steps = 72;
   /// From how far below every angle is reached; 0: from either side. Absent: files of before version 1.0.

@@ -50,6 +50,7 @@ std::map<std::string, std::string> facts_of(const RunHeader& header) {
       {"protocol.step_deg", shortest(header.step.deg())},
       {"protocol.steps", std::to_string(header.steps)},
   };
+  if (!header.stage_record.empty()) meta["stage_record"] = header.stage_record;
   if (header.approach) meta["protocol.approach_deg"] = shortest(header.approach->deg());
   for (const auto& [name, member] : kAlignments) {
     const std::optional<MeasuredValue>& measured = header.measured_alignment.*member;
@@ -211,6 +212,7 @@ void read_facts(const Facts& facts, const std::string& prefix, RunHeader& header
   read_limits_entries(item_real, item_text, header.limits, header.expected);
   header.step = Angle::degrees(facts.real("protocol.step_deg"));
   header.steps = static_cast<int>(facts.real("protocol.steps"));
+  header.stage_record = optional_text("stage_record").value_or("");
   if (const auto deg = optional_real("protocol.approach_deg")) header.approach = Angle::degrees(*deg);
   const std::string own = prefix + std::string(kItemLabelPrefix);
   for (const auto& [key, value] : facts.all()) {

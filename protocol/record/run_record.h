@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -105,6 +106,14 @@ inline bool is_measured(const MeasuredAlignment& alignment, std::string_view eff
          (effect == "Xz" && alignment.xz);
 }
 
+struct StageRecord;
+
+/// The record of its stage that the analysis of a run uses (protocol/record/stage_record.h).
+struct StageRecordInUse {
+  std::shared_ptr<const StageRecord> record;  ///< Null: none.
+  double age_months = 0.0;                    ///< From its last learning to the run.
+};
+
 /// Everything that the analysis may know of a run. A stored run, an imported CSV and a live run are all this.
 struct RunRecord {
   std::string source;               ///< File it came from, for messages.
@@ -115,6 +124,7 @@ struct RunRecord {
   LimitsConfig limits;
   ExpectedItem expected;
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
+  StageRecordInUse stage_record;         ///< Prior of the stage for the joint estimator, in place of sizes.
   /// Name of the estimator whose result is the result of the run, chosen before the first angle ("joint").
   /// Empty: not recorded.
   std::string estimator;

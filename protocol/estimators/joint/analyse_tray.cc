@@ -17,6 +17,7 @@
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/joint/joint_verdict.h"
 #include "protocol/estimators/joint/tray_fit.h"
+#include "protocol/estimators/series/series_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/objection.h"
 #include "protocol/estimators/shared/side_by_side.h"
@@ -134,6 +135,16 @@ void require_one_stage(std::span<const RunRecord> records, const JointOptions& o
   }
 }
 
+/// The result of an item by its own fit, with the record of the stage if there is one and no other item.
+CalibrationResult result_of_one(const RunRecord& record, const ItemFit& own, std::size_t items) {
+  if (!record.stage_record.record) return joint_result(record, own);
+  if (items == 1) return result_with_record(record, own);
+  CalibrationResult result = joint_result(record, own);
+  result.diagnostics.notes.emplace_back(
+      "the record of the stage is not used: several items are fitted with the stated sizes of the stage");
+  return result;
+}
+
 TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOptions& options)
     : records_(records), angles_(records) {
   own_.resize(records.size());
@@ -144,7 +155,7 @@ TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOption
     } catch (const UnusableData& error) {
       own_[k].why = error.what();
     }
-    out_.items[k].result = joint_result(records[k], own_[k]);
+    out_.items[k].result = result_of_one(records[k], own_[k], records.size());
     out_.items[k].checks = check_record(records[k]);
   });
 }
@@ -313,7 +324,7 @@ void TrayAnalysis::fill_common() {
   if (members_.empty()) return;
   if (members_.size() == 1) {
     out_.items[members_.front()].in_common_fit = true;
-    out_.common_covariance = own_[members_.front()].solution->fit.covariance_line;
+    out_.common_covariance = *out_.items[members_.front()].result.covariance;
     if (fit_members()) fill_stage(level());
     return;
   }
@@ -336,6 +347,7 @@ void TrayAnalysis::fill_common() {
 
 /// Adds the gain of a voltmeter that reads several items: not an unknown of the fit, but common to them.
 void TrayAnalysis::add_shared_voltmeters() {
+  if (members_.size() < 2) return;  // It is in the covariance of the only result.
   const auto effect = [&](std::size_t k) {
     const CalibrationResult& result = out_.items[k].result;
     const Eigen::Vector3d offset(result.offset[0].value, result.offset[1].value, result.offset[2].value);
@@ -413,7 +425,7 @@ TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& 
 
 /// The checks of the record and the stage, which analyse_tray() adds, do not change the result of one item.
 CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
-  return joint_result(record, fit_item(record, options));
+  return result_of_one(record, fit_item(record, options), 1);
 }
 
 IntrinsicComparison compare_items(const TrayResult& tray, std::size_t i, std::size_t k) {

@@ -43,6 +43,8 @@ struct EffectFitOptions {
   bool noise_process = true;  ///< false: the noise is white.
   bool white_known = true;    ///< false: u is a first guess; the white noise of each output is estimated.
   std::optional<HysteresisSigns> signs = std::nullopt;  ///< Absent: those of the solution.
+  /// S_j (R), the relative unit, so that runs of one item have one. Absent: that of the linear solution.
+  std::optional<Eigen::Vector3d> unit = std::nullopt;
 };
 
 /// One unknown of the fit, in relative units: quantities of an output are divided by its S_j.

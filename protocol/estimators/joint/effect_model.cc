@@ -39,7 +39,51 @@ double median_of(std::vector<double> values) {
   return *middle;
 }
 
+Eigen::Matrix3d rows_of_line(const EffectLayout& layout, const Eigen::VectorXd& value) {
+  Eigen::Matrix3d out;
+  for (int j = 0; j < 3; ++j) out.row(j) = value.segment<3>(layout.own_count() * j).transpose();
+  return out;
+}
+
 }  // namespace
+
+Rows12 line_rows(const EffectLayout& layout, const Eigen::VectorXd& value) {
+  Rows12 out = Rows12::Zero(12, layout.count());
+  const Eigen::Matrix3d at_value = rows_of_line(layout, value);
+  for (int j = 0; j < 3; ++j) {
+    const int first = layout.own_count() * j;
+    double scale = 1.0;
+    for (std::size_t i = 0; i < layout.own.size(); ++i) {
+      const LineShare share = layout.own[i].effect->line(at_value, j, layout.own[i].index);
+      const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
+      scale += share.scale * value(column);
+      for (int k = 0; k < 3; ++k) out(3 * j + k, column) = share.scale * value(first + k);
+      out(9 + j, column) = share.offset;
+    }
+    for (int k = 0; k < 3; ++k) out(3 * j + k, first + k) = scale;
+    out(9 + j, first + 3) = 1.0;
+  }
+  return out;
+}
+
+Vector12 line_values(const EffectLayout& layout, const Eigen::VectorXd& value) {
+  Vector12 out;
+  const Eigen::Matrix3d at_value = rows_of_line(layout, value);
+  for (int j = 0; j < 3; ++j) {
+    const int first = layout.own_count() * j;
+    double scale = 1.0;
+    double offset = value(first + 3);
+    for (std::size_t i = 0; i < layout.own.size(); ++i) {
+      const LineShare share = layout.own[i].effect->line(at_value, j, layout.own[i].index);
+      const double p = value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
+      scale += share.scale * p;
+      offset += share.offset * p;
+    }
+    out.segment<3>(3 * j) = scale * value.segment<3>(first);
+    out(9 + j) = offset;
+  }
+  return out;
+}
 
 EffectModel::EffectModel(std::span<const EffectReading> readings, const EffectFitOptions& options)
     : readings_(readings), options_(options) {
@@ -105,12 +149,9 @@ void EffectModel::choose_unknowns() {
 }
 
 EffectUnknown EffectModel::stage_unknown(const StageEffect& effect, int index) const {
-  EffectUnknown unknown{std::string(effect.name),
-                        full_name(effect.name, effect.unknown_name(index)),
-                        std::string(effect.key),
-                        -1,
-                        0.0,
-                        effect.prior(options_.sizes)};
+  EffectUnknown unknown{
+      std::string(effect.name),    unknown_name(effect, index), std::string(effect.key), -1, 0.0,
+      effect.prior(options_.sizes)};
   const auto* of_effect = measured(effect.name);
   if (of_effect == nullptr || !*of_effect) return unknown;
   const MeasuredValue& value = **of_effect;
@@ -168,7 +209,7 @@ void EffectModel::start_from_linear_fit() {
       shares_.push_back(of_stage.effect->share(poses_.back(), of_stage.index));
   }
   const KnownAcsFit start = linear_fit_given_acs(gravity, values);
-  unit_ = start.sensitivity_matrix.rowwise().norm();
+  unit_ = options_.unit.value_or(start.sensitivity_matrix.rowwise().norm());
   for (int j = 0; j < 3; ++j) {
     // A constant output leaves a row of round-off: some ulp of its readings.
     data_require(unit_(j) > 1e-12 * std::abs(start.offset(j)),
@@ -272,9 +313,7 @@ std::vector<Eigen::Index> EffectModel::hysteresis_unknowns() const {
 }
 
 Eigen::Matrix3d EffectModel::rows_of(const Eigen::VectorXd& value) const {
-  Eigen::Matrix3d out;
-  for (int j = 0; j < 3; ++j) out.row(j) = value.segment<3>(layout_.own_count() * j).transpose();
-  return out;
+  return rows_of_line(layout_, value);
 }
 
 StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
@@ -426,44 +465,6 @@ NoiseProcess EffectModel::process_of(double tau, double rho) const {
 
 Eigen::Vector3d EffectModel::least_white() const {
   return kSmallestRelativeNoise * unit_.cwiseQuotient(readings_.front().u);
-}
-
-Rows12 EffectModel::line_rows() const {
-  Rows12 out = Rows12::Zero(12, layout_.count());
-  const Eigen::Matrix3d at_value = rows();
-  for (int j = 0; j < 3; ++j) {
-    const int first = layout_.own_count() * j;
-    double scale = 1.0;
-    for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(at_value, j, layout_.own[i].index);
-      const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
-      scale += share.scale * value_(column);
-      for (int k = 0; k < 3; ++k) out(3 * j + k, column) = share.scale * value_(first + k);
-      out(9 + j, column) = share.offset;
-    }
-    for (int k = 0; k < 3; ++k) out(3 * j + k, first + k) = scale;
-    out(9 + j, first + 3) = 1.0;
-  }
-  return out;
-}
-
-Vector12 EffectModel::line_values_at(const Eigen::VectorXd& value) const {
-  Vector12 out;
-  const Eigen::Matrix3d at_value = rows_of(value);
-  for (int j = 0; j < 3; ++j) {
-    const int first = layout_.own_count() * j;
-    double scale = 1.0;
-    double offset = value(first + 3);
-    for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(at_value, j, layout_.own[i].index);
-      const double p = value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
-      scale += share.scale * p;
-      offset += share.offset * p;
-    }
-    out.segment<3>(3 * j) = scale * value.segment<3>(first);
-    out(9 + j) = offset;
-  }
-  return out;
 }
 
 ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) const {

@@ -35,6 +35,12 @@ struct EffectLayout {
   int count() const { return first_map() + maps; }
 };
 
+/// The line response of an item, s row by row and O: relative units.
+/// @param value  of the outputs' own unknowns, in the order of the layout; further ones are not read
+Vector12 line_values(const EffectLayout& layout, const Eigen::VectorXd& value);
+/// Its derivatives by the unknowns (12 x layout.count()).
+Rows12 line_rows(const EffectLayout& layout, const Eigen::VectorXd& value);
+
 /// The model of an effect_fit(): the readings and their derivatives at one point. Relative units: quantities
 /// of an output are divided by its S_j.
 class EffectModel {
@@ -72,6 +78,9 @@ class EffectModel {
   GravityAt gravity(std::size_t n) const { return gravity_at(poses_[n], inputs_at(n)); }
   /// Relative rows of s, for u, v, w.
   Eigen::Matrix3d rows() const { return rows_of(value_); }
+  /// Derivatives of the three readings of an angle by the eliminated step error of its own, which is
+  /// step_factor() times the unknown.
+  const Eigen::Vector3d& by_step(std::size_t n) const { return by_step_[n]; }
   /// Number of the shared step error of a reading; -1: none.
   int map_of(std::size_t n) const { return layout_.maps > 0 ? readings_[n].map : -1; }
   int experiment_of(std::size_t n) const { return readings_[n].experiment; }
@@ -88,10 +97,10 @@ class EffectModel {
   Eigen::Vector3d least_white() const;
 
   /// Derivatives of the line response by the unknowns (12 x unknowns), and its value.
-  Rows12 line_rows() const;
-  Vector12 line_values() const { return line_values_at(value_); }
+  Rows12 line_rows() const { return abcal::line_rows(layout_, value_); }
+  Vector12 line_values() const { return abcal::line_values(layout_, value_); }
   /// Line response at another value of the unknowns.
-  Vector12 line_values_at(const Eigen::VectorXd& value) const;
+  Vector12 line_values_at(const Eigen::VectorXd& value) const { return abcal::line_values(layout_, value); }
 
   const HysteresisSigns& signs() const { return signs_; }
   /// Takes the signs of the responses at this point.

@@ -82,7 +82,8 @@ ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
                  .drift = options.drift,
                  .mean_step = options.mean_step,
                  .noise_process = options.noise_process,
-                 .white_known = own.data.u_known};
+                 .white_known = own.data.u_known,
+                 .unit = options.unit};
   if (own.data.readings.size() < kFewestAngles) {
     own.why = fmt::format("{} usable angles; the joint estimator needs {} or more", own.data.readings.size(),
                           kFewestAngles);

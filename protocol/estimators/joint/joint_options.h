@@ -18,6 +18,8 @@ struct JointOptions {
   bool one_map_per_axis = false;  ///< f depends on axis and angle alone: experiments 1 and 2 share it.
   bool noise_process = true;      ///< false: the noise is white; for studies.
   MeasuredAlignment measured_alignment;
+  /// S_j (R), the relative unit of the fit, so that runs of one item have one. Absent: that of the readings.
+  std::optional<Eigen::Vector3d> unit = std::nullopt;
 };
 
 }  // namespace abcal

@@ -218,6 +218,26 @@ struct FaceResults {
   LineResult difference;  ///< Face 1 minus face 2; zero for a perfect stage.
 };
 
+/// The record of the stage that a joint result rests on, and its test by the run.
+struct StageRecordUse {
+  std::string stage;        ///< "Newport XPS-D, serial number 17"
+  std::string learned_utc;  ///< Of its last learning.
+  int runs = 0;             ///< That taught it.
+  double age_months = 0.0;  ///< At the time of the run.
+  double validity_months = 0.0;
+  std::string sha256;             ///< Of its file.
+  std::vector<EffectTest> tests;  ///< Part by part.
+  bool agrees = true;
+};
+
+/// One run of a series of mountings (docs/theory/series.md).
+struct SeriesMember {
+  std::string source;                      ///< File of the run.
+  std::string mounting;                    ///< "as in the first run", "turned by 90 degrees about X".
+  std::array<double, 3> small_turn_deg{};  ///< Further turn about x, y, z of the platter.
+  Verdict verdict = Verdict::kNotUsable;   ///< Of the run alone.
+};
+
 /// Results that only the norm estimator gives.
 struct NormResult {
   int poses = 0;  ///< Poses used.
@@ -259,8 +279,10 @@ struct CalibrationResult {
   std::optional<ModelEquation> model_equation;
   std::optional<JointResult> joint;
   std::optional<NormResult> norm;
-  std::optional<PublishedResult> published;  ///< Only of the ABC estimator.
-  std::optional<FaceResults> faces;          ///< Only of the ABC estimator, for a run of two faces.
+  std::optional<PublishedResult> published;    ///< Only of the ABC estimator.
+  std::optional<FaceResults> faces;            ///< Only of the ABC estimator, for a run of two faces.
+  std::optional<StageRecordUse> stage_record;  ///< Only of the joint estimator, with a record of the stage.
+  std::vector<SeriesMember> series;            ///< Runs of one fit; empty: this is the result of one run.
 
   /// The values of sensitivity_matrix as numbers; NaN where there is none.
   Eigen::Matrix3d sensitivity_values() const;

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "protocol/estimators/joint/collect_readings.h"
+#include "protocol/estimators/joint/effect_solution.h"
+#include "protocol/record/stage_record.h"
+
+namespace abcal {
+
+/// Facts that the readings of one run of one item tell of the item and of the stage: a quadratic form,
+///   chi2(q) = (q - at)' weight (q - at) - 2 pull'(q - at) + squares,
+/// of q = the outputs' own unknowns, the unknowns of the stage, and the step error of each visit (radian). It
+/// holds the readings alone: no prior of these unknowns. The model is linear at `at`, the solution of the
+/// run's own fit, which is nearer to the truth than an error of second order (1e-8) shows.
+struct RunInformation {
+  std::string source;                              ///< Of the run, for messages.
+  EffectSizes sizes;                               ///< Stated with the run.
+  EffectLayout layout;                             ///< Own unknowns, then those of the stage.
+  std::vector<EffectUnknown> unknowns;             ///< As the layout has them.
+  std::vector<AxisAngle> visits;                   ///< Of the axis that moves, in the order of the readings.
+  Eigen::Vector3d unit = Eigen::Vector3d::Ones();  ///< S_j (R): the relative unit.
+  Eigen::VectorXd at;
+  Eigen::MatrixXd weight;
+  Eigen::VectorXd pull;
+  double squares = 0.0;
+  int readings = 0;  ///< Single outputs' readings.
+
+  /// Relative rows of s, for u, v, w, at the solution of the run's own fit.
+  Eigen::Matrix3d rows() const;
+};
+
+/// @param data  the readings of the solution
+/// @throws std::invalid_argument a solution that did not converge; one whose readings share step errors
+RunInformation run_information(const CollectedReadings& data, const EffectSolution& solution);
+
+}  // namespace abcal

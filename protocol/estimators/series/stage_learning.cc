@@ -1,0 +1,316 @@
+#include "protocol/estimators/series/stage_learning.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <map>
+#include <utility>
+
+#include "protocol/estimators/series/size_posterior.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
+#include "protocol/statistics/distributions.h"
+
+namespace abcal {
+namespace {
+
+/// Growth before anything is known of it: a tenth of the stated sizes in a month.
+constexpr double kUsualGrowth = 0.1;
+/// A direction is not tested where the readings reduce its variance by less than this share.
+constexpr double kInformative = 1e-6;
+
+/// The sizes of the stage, without those of the item.
+EffectSizes sizes_of_stage(const EffectSizes& sizes) {
+  EffectSizes out;
+  for (const EffectSizeKey& key : effect_size_keys())
+    if (key.section == "stage_uncertainty") key.set(out, key.get(sizes));
+  return out;
+}
+
+/// The part of the stage to which an unknown of a run belongs.
+std::string part_of(const RunInformation& run, Eigen::Index q) {
+  if (q >= run.layout.count())
+    return fmt::format("fine map of {}", run.visits[static_cast<std::size_t>(q - run.layout.count())].axis);
+  const EffectUnknown& unknown = run.unknowns[static_cast<std::size_t>(q)];
+  switch (const int part = repeat_part_of(unknown.name);
+          part < 0 ? RepeatPart::kStep : static_cast<RepeatPart>(part)) {
+    case RepeatPart::kHoming:
+      return "zeros";
+    case RepeatPart::kFloor:
+      return "alignment";
+    case RepeatPart::kTurn:
+      return "initial turns";
+    case RepeatPart::kStep:
+      break;
+  }
+  return unknown.effect;
+}
+
+/// The unknowns of the stage in a run as a record predicts them.
+struct Prediction {
+  std::vector<Eigen::Index> q;  ///< Places of those that the record knows.
+  Eigen::VectorXd mean;
+  Eigen::MatrixXd covariance;
+};
+
+Prediction predicted(const RunInformation& run, const StageState& before,
+                     const Repeatabilities& repeatabilities) {
+  Prediction out;
+  std::vector<Eigen::Index> known;
+  std::vector<double> repeat;
+  for (Eigen::Index q = run.layout.first_stage(); q < run.at.size(); ++q) {
+    const bool is_visit = q >= run.layout.count();
+    const std::string& name =
+        run.unknowns[static_cast<std::size_t>(std::min(q, run.layout.count() - Eigen::Index{1}))].name;
+    const Eigen::Index place =
+        is_visit ? before.place_of(run.visits[static_cast<std::size_t>(q - run.layout.count())])
+                 : before.place_of(name);
+    if (place < 0) continue;
+    out.q.push_back(q);
+    known.push_back(place);
+    const int part = is_visit ? static_cast<int>(RepeatPart::kStep) : repeat_part_of(name);
+    repeat.push_back(part < 0 ? 0.0 : repeatabilities[static_cast<std::size_t>(part)].rms);
+  }
+  const auto count = static_cast<Eigen::Index>(known.size());
+  out.mean.resize(count);
+  out.covariance.resize(count, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const Eigen::Index at = known[static_cast<std::size_t>(i)];
+    out.mean(i) = before.mean(at);
+    for (Eigen::Index k = 0; k < count; ++k)
+      out.covariance(i, k) = before.covariance(at, known[static_cast<std::size_t>(k)]);
+    out.covariance(i, i) += std::pow(repeat[static_cast<std::size_t>(i)], 2);
+  }
+  return out;
+}
+
+/// Differences d with the prior covariance P and the posterior one Q: d' (P - Q)^+ d.
+EffectTest test_part(const std::string& name, const Eigen::VectorXd& difference, const Eigen::MatrixXd& prior,
+                     const Eigen::MatrixXd& posterior) {
+  EffectTest test;
+  test.name = name;
+  test.key = "record";
+  const Eigen::VectorXd scale = prior.diagonal().cwiseSqrt().cwiseInverse();
+  const Eigen::VectorXd relative = scale.cwiseProduct(difference);
+  const SymmetricEigen eigen =
+      generalized_eigen(scaled_on_both_sides(prior - posterior, scale), scaled_on_both_sides(prior, scale));
+  for (Eigen::Index i = 0; i < relative.size(); ++i) {
+    if (eigen.values(i) < kInformative) continue;
+    // The vectors v have v' P v = 1.
+    const double along = eigen.vectors.col(i).dot(relative);
+    test.chi2 += along * along / eigen.values(i);
+    ++test.degrees_of_freedom;
+  }
+  if (test.degrees_of_freedom == 0) return test;
+  test.times_stated = std::sqrt(test.chi2 / test.degrees_of_freedom);
+  test.probability = chi2_tail(test.chi2, test.degrees_of_freedom);
+  return test;
+}
+
+template <class Index>
+Eigen::MatrixXd block_of(const Eigen::MatrixXd& matrix, const std::vector<Index>& places) {
+  const auto count = static_cast<Eigen::Index>(places.size());
+  Eigen::MatrixXd out(count, count);
+  for (Eigen::Index i = 0; i < count; ++i)
+    for (Eigen::Index k = 0; k < count; ++k)
+      out(i, k) = matrix(places[static_cast<std::size_t>(i)], places[static_cast<std::size_t>(k)]);
+  return out;
+}
+
+/// The unknown that is furthest from the record, in standard deviations of its prediction.
+std::string furthest(const RunInformation& run, const SeriesRunResult& found, const StageState& before,
+                     const Repeatabilities& repeatabilities) {
+  const Prediction record = predicted(run, before, repeatabilities);
+  double most = 0.0;
+  Eigen::Index at = -1;
+  for (std::size_t i = 0; i < record.q.size(); ++i) {
+    const auto k = static_cast<Eigen::Index>(i);
+    const double away =
+        std::abs(found.value(record.q[i]) - record.mean(k)) / std::sqrt(record.covariance(k, k));
+    if (away > most) {
+      most = away;
+      at = record.q[i];
+    }
+  }
+  if (at < 0) return {};
+  if (at < run.layout.count()) return run.unknowns[static_cast<std::size_t>(at)].name;
+  const AxisAngle& angle = run.visits[static_cast<std::size_t>(at - run.layout.count())];
+  return fmt::format("fine map of {} at {:g} degrees", angle.axis, angle.degrees());
+}
+
+}  // namespace
+
+std::vector<EffectTest> test_state(const RunInformation& run, const SeriesRunResult& found,
+                                   const StageState& before, const Repeatabilities& repeatabilities) {
+  const Prediction record = predicted(run, before, repeatabilities);
+  std::vector<EffectTest> out;
+  std::vector<std::string> parts;
+  for (const Eigen::Index q : record.q)
+    if (const std::string part = part_of(run, q); std::ranges::find(parts, part) == parts.end())
+      parts.push_back(part);
+  for (const std::string& part : parts) {
+    std::vector<std::size_t> of_part;
+    std::vector<Eigen::Index> places;
+    for (std::size_t i = 0; i < record.q.size(); ++i) {
+      if (part_of(run, record.q[i]) != part) continue;
+      of_part.push_back(i);
+      places.push_back(record.q[i]);
+    }
+    Eigen::VectorXd difference(static_cast<Eigen::Index>(places.size()));
+    for (std::size_t i = 0; i < places.size(); ++i)
+      difference(static_cast<Eigen::Index>(i)) =
+          found.value(places[i]) - record.mean(static_cast<Eigen::Index>(of_part[i]));
+    std::vector<Eigen::Index> own(of_part.begin(), of_part.end());
+    out.push_back(
+        test_part(part, difference, block_of(record.covariance, own), block_of(found.covariance, places)));
+  }
+  return out;
+}
+
+std::vector<EffectTest> compare_states(const StageState& earlier, const StageState& later,
+                                       bool is_continued) {
+  const auto part_of_place = [&](Eigen::Index place) -> std::string {
+    if (place >= static_cast<Eigen::Index>(earlier.names.size()))
+      return fmt::format("fine map of {}",
+                         earlier.angles[static_cast<std::size_t>(place) - earlier.names.size()].axis);
+    const std::string& name = earlier.names[static_cast<std::size_t>(place)];
+    for (const StageEffect& effect : stage_effects())
+      for (int i = 0; i < effect.count; ++i)
+        if (unknown_name(effect, i) == name) return std::string(effect.name);
+    return name;
+  };
+  std::vector<std::string> parts;
+  std::map<std::string, std::vector<std::pair<Eigen::Index, Eigen::Index>>> places;
+  for (Eigen::Index i = 0; i < earlier.size(); ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    const Eigen::Index other = at < earlier.names.size()
+                                   ? later.place_of(earlier.names[at])
+                                   : later.place_of(earlier.angles[at - earlier.names.size()]);
+    if (other < 0) continue;
+    const std::string part = part_of_place(i);
+    if (!places.contains(part)) parts.push_back(part);
+    places[part].emplace_back(i, other);
+  }
+  std::vector<EffectTest> out;
+  for (const std::string& part : parts) {
+    std::vector<Eigen::Index> before, after;
+    for (const auto& [a, b] : places[part]) {
+      before.push_back(a);
+      after.push_back(b);
+    }
+    Eigen::VectorXd difference(static_cast<Eigen::Index>(before.size()));
+    for (std::size_t i = 0; i < before.size(); ++i)
+      difference(static_cast<Eigen::Index>(i)) = later.mean(after[i]) - earlier.mean(before[i]);
+    const Eigen::MatrixXd of_earlier = block_of(earlier.covariance, before);
+    const Eigen::MatrixXd of_later = block_of(later.covariance, after);
+    // Independent ones: the covariance of the difference is the sum.
+    out.push_back(is_continued ? test_part(part, difference, of_earlier, of_later)
+                               : test_part(part, difference, of_earlier + of_later,
+                                           Eigen::MatrixXd::Zero(of_later.rows(), of_later.cols())));
+  }
+  return out;
+}
+
+void judge_record(std::vector<EffectTest>& tests) {
+  std::vector<EffectTest*> order;
+  for (EffectTest& test : tests) {
+    test.passed = true;
+    if (test.degrees_of_freedom > 0) order.push_back(&test);
+  }
+  std::ranges::sort(order, {}, &EffectTest::probability);
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    if (order[i]->probability > kRecordFalseAlarm / static_cast<double>(order.size() - i)) break;
+    order[i]->passed = false;
+  }
+}
+
+StageLearned learn_stage(std::span<const SeriesRun> runs, const std::optional<StageRecord>& before,
+                         double months) {
+  StageLearned out;
+  SeriesOptions options;
+  SizeFound growth = half_normal(kUsualGrowth);
+  if (before) {
+    // How much the stage may have changed follows from these runs as well.
+    if (months > 0.0)
+      growth = size_posterior(kUsualGrowth * 10.0, before->growth, [&](double share) {
+        StageRecord tried = *before;
+        tried.growth.rms = share;
+        return fit_series(runs, with_record(tried, months)).log_likelihood;
+      });
+    else
+      growth = before->growth;
+    StageRecord known = *before;
+    known.growth = growth;
+    options = with_record(known, months);
+    options.estimate_repeatabilities = true;
+  }
+  out.fit = fit_series(runs, options);
+  out.record.sizes = before ? before->sizes : sizes_of_stage(runs.front().information->sizes);
+  out.record.growth = growth;
+  if (!out.fit.converged) return out;
+  out.record.state = out.fit.stage;
+  out.record.repeatabilities = out.fit.repeatabilities;
+  if (before) {
+    for (std::size_t k = 0; k < runs.size(); ++k) {
+      std::vector<EffectTest> tests =
+          test_state(*runs[k].information, out.fit.runs[k], *options.stage, *options.repeatabilities);
+      judge_record(tests);
+      for (EffectTest& test : tests)
+        if (!test.passed) out.changes.push_back(std::move(test));
+    }
+  }
+  return out;
+}
+
+SeriesOptions with_record(const StageRecord& record, double months) {
+  SeriesOptions options;
+  options.stage = state_after(record, months);
+  options.repeatabilities = record.repeatabilities;
+  options.estimate_repeatabilities = false;
+  return options;
+}
+
+EffectFit common_fit(const EffectFit& own, const RunInformation& first, const SeriesFit& series) {
+  const SeriesItem& item = series.items.front();
+  const SeriesRunResult& run = series.runs.front();
+  EffectFit fit = own;
+  const Eigen::Index unknowns = first.layout.count();
+  fit.value = run.value.head(unknowns);
+  fit.covariance = run.covariance.topLeftCorner(unknowns, unknowns);
+  fit.line = item.line;
+  fit.covariance_line = item.covariance_line;
+  fit.covariance_line_type_b = Covariance12::Zero();
+  for (const EffectShare& share : item.shares) fit.covariance_line_type_b += share.covariance;
+  fit.shares = item.shares;
+  fit.iterations = series.iterations;
+  fit.reciprocal_condition = series.reciprocal_condition;
+  for (std::size_t n = 0; n < fit.step_error.size(); ++n) {
+    const Eigen::Index at = unknowns + static_cast<Eigen::Index>(n);
+    fit.step_error[n] = run.value(at);
+    fit.u_step_error[n] = std::sqrt(run.covariance(at, at));
+  }
+  return fit;
+}
+
+FitWithRecord fit_with_record(const CollectedReadings& data, const EffectSolution& own,
+                              const StageRecord& record, double months) {
+  FitWithRecord out;
+  const RunInformation information = run_information(data, own);
+  const SeriesOptions options = with_record(record, months);
+  const std::array<SeriesRun, 1> runs{SeriesRun{&information, 0}};
+  const SeriesFit series = fit_series(runs, options);
+  out.converged = series.converged;
+  if (!series.converged) return out;
+  const SeriesRunResult& run = series.runs.front();
+  out.fit = common_fit(own.fit, information, series);
+  out.tests = test_state(information, run, *options.stage, record.repeatabilities);
+  judge_record(out.tests);
+  if (std::ranges::any_of(out.tests, [](const EffectTest& test) { return !test.passed; }))
+    out.largest = furthest(information, run, *options.stage, record.repeatabilities);
+  return out;
+}
+
+}  // namespace abcal
