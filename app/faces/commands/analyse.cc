@@ -4,6 +4,7 @@
 #include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -13,6 +14,7 @@
 #include "app/faces/commands/commands.h"
 #include "app/faces/commands/run.h"
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/bench_file/stage_record_file.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/real_clock.h"
@@ -24,6 +26,8 @@
 #include "app/results/estimates/recompute.h"
 #include "app/results/estimates/result_json.h"
 #include "app/results/estimates/result_summary.h"
+#include "app/results/estimates/series_of_runs.h"
+#include "app/results/estimates/stage_record_use.h"
 #include "app/results/estimates/tray_results.h"
 #include "protocol/estimators/norm/pose_import.h"
 #include "protocol/record/sha256.h"
@@ -62,7 +66,9 @@ void keep(const std::filesystem::path& path, const std::vector<Kept>& analyses) 
 }
 
 struct AnalyseOptions {
-  std::string file;
+  std::vector<std::string> files;
+  std::string file;  ///< The first.
+  std::string stage_record;
   std::string estimator;
   std::string truth;
   int item = 0;
@@ -99,6 +105,11 @@ int show_all(const AnalyseOptions& options, std::vector<StoredRun> items) {
         "--estimator {}: {} has several items, which only the joint estimator analyses together; required: "
         "--item as well",
         options.estimator, options.file));
+  if (!options.stage_record.empty())
+    throw std::invalid_argument(
+        fmt::format("--stage-record: {} has several items, which are fitted together without a record; "
+                    "required: --item as well",
+                    options.file));
   const AnalysedRun run = analyse_run(std::move(items), "joint");
   std::vector<Kept> kept;
   for (const AnalysedItem& item : run.items) kept.emplace_back(&item.stored, &item.results.front());
@@ -111,19 +122,47 @@ int show_all(const AnalyseOptions& options, std::vector<StoredRun> items) {
 /// together; every other estimator uses this item alone.
 int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k) {
   std::string estimator = options.estimator;
+  if (!options.stage_record.empty()) {
+    if (!estimator.empty() && estimator != "joint")
+      throw std::invalid_argument(fmt::format(
+          "--stage-record: the {} estimator has no stage; required: --estimator joint", estimator));
+    estimator = "joint";
+    use_stage_record(items, std::make_shared<const StageRecord>(read_stage_record(options.stage_record)),
+                     options.file);
+    if (items.size() > 1) items = {std::move(items[static_cast<std::size_t>(k) - 1])};
+    k = 1;
+  }
   if (estimator.empty() && options.form != ResultForm::kFull)
     estimator = declared_estimator(items.front().record).name;
   const AnalysedRun run = analyse_run(std::move(items), estimator);
   const AnalysedItem& item = run.item(k);
   const StoredRun& stored = item.stored;
   const CalibrationResult& result = item.results.front();
-  keep(options.file, {{&stored, &result}});
+  // A record that is not part of the run could not be used again to verify a stored result.
+  if (options.stage_record.empty()) keep(options.file, {{&stored, &result}});
   options.json() ? print_result("{}\n", result_json(result).dump(2))
                  : print_result("{}", text_of(item, options));
   const bool agrees =
       options.truth.empty() ||
       show_truth(options.truth, stored.item, result, options.json() ? stderr : stdout).agrees();
   return result.verdict == Verdict::kNotUsable || !agrees ? kExitFailed : kExitDone;
+}
+
+/// Runs of one item on one stage, by one joint fit.
+int show_series(const AnalyseOptions& options) {
+  if (options.item != 0 || !options.truth.empty())
+    throw std::invalid_argument(
+        "several files are the runs of one item in a series; required: neither --item nor "
+        "--truth");
+  if (!options.estimator.empty() && options.estimator != "joint")
+    throw std::invalid_argument(
+        fmt::format("--estimator {}: runs of a series are fitted by the joint estimator", options.estimator));
+  std::optional<StageRecord> record;
+  if (!options.stage_record.empty()) record = read_stage_record(options.stage_record);
+  const AnalysedItem series = analyse_series_of_runs({options.files.begin(), options.files.end()}, record);
+  options.json() ? print_result("{}\n", result_json(series.results.front()).dump(2))
+                 : print_result("{}", text_of(series, options));
+  return series.results.front().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
 
 }  // namespace
@@ -146,9 +185,12 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       "analyse", "Sensitivity matrix, offsets and intrinsic properties of a run or CSV");
   command->alias("analyze");
   command
-      ->add_option("FILE", options->file,
-                   "run file, or CSV of averaged readings (norm: of poses, or a time series)")
-      ->required();
+      ->add_option(
+          "FILE", options->files,
+          "run file, or CSV of averaged readings (norm: of poses, or a time series). Several: runs of one "
+          "item on one stage, in several mountings, for one joint fit")
+      ->required()
+      ->expected(1, 1000);
   command
       ->add_option(
           "--estimator", options->estimator,
@@ -158,12 +200,20 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       ->check(CLI::IsMember(estimator_names()));
   command->add_option("--item", options->item,
                       "of a run with several items: this one alone, from 1 (default: all of them)");
+  command->add_option(
+      "--stage-record", options->stage_record,
+      "record of the stage (`abcal stage learn`), from which the joint estimator takes the stage");
   add_form_options(*command, options->form,
                    "print one JSON object, schema abcal.result/1; of several items abcal.tray/1");
   command->add_option(
       "--truth", options->truth,
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
   command->callback([options, &exit_code] {
+    options->file = options->files.front();
+    if (options->files.size() > 1) {
+      exit_code = show_series(*options);
+      return;
+    }
     std::vector<StoredRun> items = load(*options);
     const bool all = options->item == 0 && items.size() > 1;
     exit_code = all ? show_all(*options, std::move(items))

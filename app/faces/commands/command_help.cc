@@ -17,12 +17,14 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 27> kHelp{{
+constexpr std::array<CommandHelp, 28> kHelp{{
     {"init", kPrepare, "abcal init\nabcal init --stage emulated"},
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
     {"check", kPrepare, "abcal check bench.toml\nabcal check bench.toml --no-motion"},
     {"level", kPrepare, "abcal level bench.toml -o bench.level.json"},
+    {"stage", kPrepare,
+     "abcal stage learn m1.run m2.run m3.run -o bench.stage\nabcal stage show bench.stage --figures stage"},
     {"gravity", kPrepare, "abcal gravity --latitude 52.3 --height 80"},
     {"self-test", kPrepare, "abcal self-test"},
     {"run", kMeasure, "abcal run bench.toml -o sn1234.run\nabcal run bench.toml -o sn1234.run --record"},

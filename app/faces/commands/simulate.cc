@@ -13,6 +13,7 @@
 #include "app/faces/commands/accelerometer_file.h"
 #include "app/faces/commands/simulate_joint.h"
 #include "app/faces/commands/simulate_robustness.h"
+#include "app/faces/commands/simulate_stage_records.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
@@ -60,16 +61,18 @@ struct SimulateOptions {
   bool without_mean_step = false;
   std::int64_t benches = RobustnessOptions{}.benches;
   std::vector<std::string> scenarios;
+  std::int64_t stages = StageRecordOptions{}.stages;
 };
 
 void add_common_options(CLI::App& command, SimulateOptions& options) {
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
   command
-      .add_option("SET", options.set,
-                  "one of " + sets +
-                      "; joint: the joint estimator's coverage; or robustness: "
-                      "coverage and verdicts on benches that break the model")
+      .add_option(
+          "SET", options.set,
+          "one of " + sets +
+              "; joint: the joint estimator's coverage; robustness: coverage and verdicts on benches that "
+              "break the model; or stage-records: faces, mountings and records of a stage")
       ->required();
   command.add_option("--trials", options.trials, "simulations (default: as many as in the paper)");
   command.add_option("--seed", options.seed, "seed of the random numbers")->capture_default_str();
@@ -117,6 +120,9 @@ void add_robustness_options(CLI::App& command, SimulateOptions& options) {
                   "only these scenarios, separated by commas (default: all)")
       ->group(group)
       ->delimiter(',');
+  command.add_option("--stages", options.stages, "simulated stages of each experiment")
+      ->group("study of stage records")
+      ->capture_default_str();
 }
 
 /// Options that a study does not read would be ignored without a word.
@@ -150,6 +156,15 @@ int run_robustness_study(const SimulateOptions& options) {
   study.seed = not_negative("--seed", options.seed);
   study.threads = threads_of(options.threads);
   return simulate_robustness(study, options.json);
+}
+
+int run_stage_record_study(const SimulateOptions& options) {
+  require_not_given(options, false, false, "--stages, --seed, --threads and --json");
+  StageRecordOptions study;
+  study.stages = static_cast<int>(not_negative("--stages", options.stages));
+  study.seed = not_negative("--seed", options.seed);
+  study.threads = threads_of(options.threads);
+  return simulate_stage_records(study, options.json);
 }
 
 int run_joint_study(const SimulateOptions& options) {
@@ -232,9 +247,10 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
   add_joint_options(*command, *options);
   add_robustness_options(*command, *options);
   command->callback([options, &exit_code] {
-    exit_code = options->set == "robustness" ? run_robustness_study(*options)
-                : options->set == "joint"    ? run_joint_study(*options)
-                                             : run_set(*options);
+    exit_code = options->set == "robustness"      ? run_robustness_study(*options)
+                : options->set == "joint"         ? run_joint_study(*options)
+                : options->set == "stage-records" ? run_stage_record_study(*options)
+                                                  : run_set(*options);
   });
   return command;
 }

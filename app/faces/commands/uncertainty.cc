@@ -122,6 +122,11 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
   if (!options.measured.empty()) uncertainty.measured = read_measured_acs(options.measured);
   override_sizes(options, record.tolerances);
   if (joint) {
+    if (record.stage_record.record)
+      throw std::invalid_argument(fmt::format(
+          "{}: the run uses a record of its stage, which this simulation does not draw from; `abcal analyse` "
+          "gives the uncertainty, or analyse it with the published estimator (--estimator {})",
+          options.file, kPublishedEstimator));
     check_tolerances(record.tolerances);
     std::vector<StoredRun> items = load_items(named_item(options.file).file);
     if (items.size() > 1) return study_of_common_fit(std::move(items), options);

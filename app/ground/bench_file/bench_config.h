@@ -53,6 +53,8 @@ struct StageConfig {
   std::string unit;           ///< Unit of the axes if the controller does not report it: "deg" or empty.
   std::string
       level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
+  std::string
+      record;  ///< Made by `abcal stage learn`; empty: the stage is known from [stage_uncertainty] only.
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }

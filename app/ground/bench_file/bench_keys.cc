@@ -130,6 +130,7 @@ void visit_stage(KeyVisitor& keys, StageConfig& stage) {
   keys.text("serial_number", stage.serial_number);
   keys.text("unit", stage.unit, {"", "deg"});
   keys.text("level_file", stage.level_file);
+  keys.text("record", stage.record);
   visit_stage_axis(keys, "stage.x", stage.x);
   visit_stage_axis(keys, "stage.z", stage.z);
 }

@@ -370,8 +370,14 @@ std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult&
   return shifts;
 }
 
-/// Even a draft needs a result with a sensitivity matrix.
+/// Even a draft needs a result with a sensitivity matrix, whose uncertainty rests on statements and readings
+/// of this run: a certificate does not state yet to what a record of the stage is traceable.
 void require_certifiable(const ReportData& data) {
+  if (data.result().stage_record)
+    throw CertificateRefused(
+        data.path.string(),
+        {{"[stage] record", "the result uses a record of the stage",
+          "a run without one: certificates of results with a record are not issued yet"}});
   if (find_estimator(data.estimator).certifiable) return;
   throw CertificateRefused(data.path.string(),
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});

@@ -416,7 +416,8 @@ Identities MeasuringSession::identify_or_keep_recording(const StartRequest& requ
     // Nothing was measured, but the recorded replies of the instruments are worth keeping.
     try {
       BenchConfig config = opened.config;
-      config.stage.level_file.clear();  // Only an identified stage can be compared with it.
+      config.stage.level_file.clear();  // Only an identified stage can be compared with them.
+      config.stage.record.clear();
       RunHeader header = make_header(config, {}, {}, *bench.clock);
       header.instruments.clear();
       RunFile file = RunFile::create(request.run_file, header);

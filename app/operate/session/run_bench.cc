@@ -2,6 +2,7 @@
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <ctime>
@@ -15,6 +16,8 @@
 #include "app/ground/bench_file/item_identity.h"
 #include "app/ground/bench_file/level_file.h"
 #include "app/ground/bench_file/not_real.h"
+#include "app/ground/bench_file/stage_record_file.h"
+#include "app/ground/system/read_file.h"
 #include "app/ground/system/version.h"
 #include "app/operate/session/host_clock.h"
 #include "drivers/instrument/driver_catalogue.h"
@@ -287,6 +290,21 @@ void require_all_items(const Identities& identities) {
                                     all ? "" : ", or measure the others without: --without-missing-items"));
 }
 
+/// The record of the stage as its file has it, once it is found to be of this stage.
+std::string stage_record_text(const BenchConfig& config, const InstrumentIdentity& stage) {
+  const std::string text = read_file(config.stage.record);
+  const StageRecord record = parse_stage_record(text, config.stage.record);
+  if (const std::vector<std::string> differ =
+          differences(record.identity, stage_identity(stage, config.stage));
+      !differ.empty())
+    throw InstrumentError(
+        "stage", Fault::kWrongIdentity,
+        fmt::format("{} is the record of another stage: {}. Learn this stage (`abcal stage learn`), "
+                    "or leave `[stage] record` out",
+                    config.stage.record, fmt::join(differ, "; ")));
+  return text;
+}
+
 RunHeader make_header(const BenchConfig& config, const Identities& identities, std::vector<PlannedAngle> plan,
                       const Clock& clock) {
   RunHeader header;
@@ -310,6 +328,8 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
                           level.stage_serial_number);
     header.measured_alignment = level.alignment;
   }
+  if (!config.stage.record.empty())
+    header.stage_record = stage_record_text(config, header.instruments.front());
   header.step = config.protocol.step;
   header.approach = config.protocol.approach;
   header.steps = config.protocol.steps;

@@ -10,7 +10,9 @@
 #include <utility>
 
 #include "app/results/estimates/effect_words.h"
+#include "app/results/estimates/stage_record_use.h"
 #include "protocol/estimators/checks/plausibility.h"
+#include "protocol/estimators/series/series_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/plan/backlash.h"
@@ -61,9 +63,10 @@ sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageT
 void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record, CalibrationResult& result) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   apply_checks(of_the_record, record, result);
-  if (std::string words = default_effects_words(record.tolerances, Advice::kNone); !words.empty())
+  const EffectSizes sizes = result.stage_record ? sizes_with_record(record.tolerances) : record.tolerances;
+  if (std::string words = default_effects_words(sizes, Advice::kNone); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
-  for (std::string& words : uncovered_effects_words(record.tolerances, Advice::kNone))
+  for (std::string& words : uncovered_effects_words(sizes, Advice::kNone))
     result.diagnostics.notes.push_back(std::move(words));
   if (backlash_is_left(record) && find_estimator(result.estimator).needs_angles)
     result.diagnostics.notes.push_back(backlash_words(record.tolerances.zero));
@@ -166,7 +169,10 @@ const CalibrationResult& AnalysedItem::result() const {
 
 AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator) {
   std::vector<RunRecord> records;
-  for (const StoredRun& item : items) records.push_back(item.record);
+  for (StoredRun& item : items) {
+    use_stored_stage_record(item);
+    records.push_back(item.record);
+  }
   RunAnalysis analysis = analyse_items(
       records, estimator.empty() ? all_estimators(records.front()) : std::vector{&find_estimator(estimator)});
   AnalysedRun run;

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <string_view>
 
+#include "protocol/estimators/series/series_result.h"
+
 namespace abcal {
 
 std::string default_effects_words(const EffectSizes& sizes, Advice advice) {
@@ -47,8 +49,9 @@ std::vector<std::string> effects_without_source(const EffectSizes& sizes) {
 }
 
 std::vector<std::string> further_notes(const CalibrationResult& result, const EffectSizes& sizes) {
-  std::vector<std::string> elsewhere = uncovered_effects_words(sizes, Advice::kNone);
-  elsewhere.push_back(default_effects_words(sizes, Advice::kNone));
+  const EffectSizes behind = result.stage_record ? sizes_with_record(sizes) : sizes;
+  std::vector<std::string> elsewhere = uncovered_effects_words(behind, Advice::kNone);
+  elsewhere.push_back(default_effects_words(behind, Advice::kNone));
   std::vector<std::string> notes;
   for (const std::string& note : result.diagnostics.notes) {
     if (std::ranges::find(elsewhere, note) == elsewhere.end() && result.why.find(note) == std::string::npos)

@@ -8,6 +8,7 @@
 #include <system_error>
 
 #include "app/results/estimates/other_file.h"
+#include "app/results/estimates/stage_record_use.h"
 #include "protocol/record/import_csv.h"
 
 namespace abcal {
@@ -78,12 +79,17 @@ LoadedRecord load_record(const std::filesystem::path& path, int item) {
   named.item = chosen_item(named.file, named.item);
   if (!is_run) return {import_csv(named.file), std::nullopt};
   StoredRun run = RunFile::load(named.file, named.item);
+  use_stored_stage_record(run);
   RunRecord record = run.record;
   return {std::move(record), std::move(run)};
 }
 
 std::vector<StoredRun> load_items(const std::filesystem::path& path) {
-  if (is_run_file(path)) return RunFile::load_items(path);
+  if (is_run_file(path)) {
+    std::vector<StoredRun> runs = RunFile::load_items(path);
+    for (StoredRun& run : runs) use_stored_stage_record(run);
+    return runs;
+  }
   std::vector<StoredRun> items(1);
   items.front().record = import_csv(path);
   items.front().header.items.resize(1);

@@ -52,6 +52,20 @@ Json matrix(const std::optional<Matrix>& m) {
   return rows;
 }
 
+Json stage_record_use_json(const StageRecordUse& use) {
+  Json tests = Json::array();
+  for (const EffectTest& test : use.tests)
+    tests.push_back({{"part", test.name},
+                     {"times_expected", json_number(test.times_stated)},
+                     {"chi2", json_number(test.chi2)},
+                     {"degrees_of_freedom", test.degrees_of_freedom},
+                     {"probability", json_number(test.probability)},
+                     {"passed", test.passed}});
+  return {{"stage", use.stage},   {"sha256", use.sha256},         {"learned_utc", use.learned_utc},
+          {"runs", use.runs},     {"age_months", use.age_months}, {"validity_months", use.validity_months},
+          {"agrees", use.agrees}, {"tests", std::move(tests)}};
+}
+
 constexpr const char* kOutputLetters[] = {"u", "v", "w"};
 
 Json diagnostics(const Diagnostics& d) {
@@ -198,6 +212,12 @@ Json result_json(const CalibrationResult& result) {
     }
     json["face_difference"] = line_json(result.faces->difference);
   }
+  if (result.stage_record) json["stage_record"] = stage_record_use_json(*result.stage_record);
+  for (const SeriesMember& member : result.series)
+    json["series"].push_back({{"source", member.source},
+                              {"mounting", member.mounting},
+                              {"small_turn_degree", member.small_turn_deg},
+                              {"verdict_alone", to_string(member.verdict)}});
   if (result.published) json["published"] = published_json(*result.published);
   if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {

@@ -3,15 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
-#include <exception>
-#include <mutex>
 #include <optional>
 #include <stdexcept>
-#include <thread>
 
 #include "app/results/estimates/analyses.h"
+#include "app/studies/study/parallel_trials.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/planned_dwell.h"
@@ -109,38 +106,6 @@ std::vector<const Scenario*> chosen(const RobustnessOptions& options) {
   return list;
 }
 
-/// Takes the numbers 0 to count - 1, each once, on several threads. @return how many were done
-std::size_t each_in_parallel(std::size_t count, const RobustnessOptions& options,
-                             const std::function<void(std::size_t)>& work) {
-  std::atomic<std::size_t> next{0};
-  std::exception_ptr failure;
-  std::mutex mutex;
-  const auto take_some = [&] {
-    try {
-      while (!options.stop.stop_requested()) {
-        const std::size_t i = next++;
-        if (i >= count) break;
-        work(i);
-        if (options.progress && i % 8 == 0) {
-          const std::lock_guard lock(mutex);
-          options.progress(static_cast<int>(i) + 1, static_cast<int>(count));
-        }
-      }
-    } catch (...) {
-      const std::lock_guard lock(mutex);
-      failure = std::current_exception();  // rethrown below
-      next = count;
-    }
-  };
-  {
-    std::vector<std::jthread> helpers;
-    for (int i = 1; i < options.threads; ++i) helpers.emplace_back(take_some);
-    take_some();
-  }
-  if (failure) std::rethrow_exception(failure);
-  return std::min(count, next.load());
-}
-
 }  // namespace
 
 const std::array<std::string, kOutputGroups>& output_group_names() {
@@ -210,11 +175,13 @@ RobustnessStudy run_robustness_study(const RobustnessOptions& options) {
   std::vector<const Estimator*> all;
   for (const std::string& name : options.estimators) all.push_back(&find_estimator(name));
   std::vector<RunOutcome> runs(scenarios.size() * benches * estimators);
-  const std::size_t done = each_in_parallel(scenarios.size() * benches, options, [&](std::size_t i) {
-    const SimulatedRun run = simulate_run(draw_bench(*scenarios[i / benches], options.seed, i % benches));
-    const std::vector<CalibrationResult> results = analyse(run.record, all);
-    for (std::size_t e = 0; e < estimators; ++e) runs[i * estimators + e] = outcome_of(results[e], run.truth);
-  });
+  const std::size_t done = each_in_parallel(
+      scenarios.size() * benches, {options.threads, options.stop, options.progress}, [&](std::size_t i) {
+        const SimulatedRun run = simulate_run(draw_bench(*scenarios[i / benches], options.seed, i % benches));
+        const std::vector<CalibrationResult> results = analyse(run.record, all);
+        for (std::size_t e = 0; e < estimators; ++e)
+          runs[i * estimators + e] = outcome_of(results[e], run.truth);
+      });
 
   RobustnessStudy study;
   study.benches = options.benches;

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <stop_token>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace abcal {
+
+/// Experiments that measure better than one run of three circles (docs/theory/series.md).
+enum class StageExperiment {
+  kTwoFaces,         ///< Two faces, 6 x 36, one run.
+  kTwoMountings,     ///< As it is and turned by 90 degrees about X, two faces, 6 x 18 each.
+  kSixMountings,     ///< 3 x 12 each.
+  kTwelveMountings,  ///< 3 x 24 each, on a stage that repeats.
+  kWithRecord,       ///< A new item, 3 x 24, with the record that twelve mountings of another one taught.
+  kTwoMountingsWithRecord,  ///< A new item in two mountings, two faces, 6 x 18 each, with that record.
+  kYearLater,               ///< As kWithRecord, a year later on a stage that has changed slowly.
+};
+inline constexpr std::size_t kStageExperiments = 7;
+
+/// Groups of outputs: s, O, s_vz and s_wy in the frame of the stage, phi.
+inline constexpr std::size_t kStageGroups = 4;
+const std::array<std::string_view, kStageGroups>& stage_group_names();
+
+struct StageRecordOptions {
+  int stages = 1000;  ///< For each experiment a new stage, and a new record.
+  std::uint64_t seed = 1;
+  int threads = 1;
+  std::stop_token stop = {};
+  std::function<void(int done, int planned)> progress = {};
+};
+
+/// One group of outputs of one experiment, over all stages.
+struct StageGroup {
+  double rms_u = 0.0;      ///< Root mean square of the stated standard uncertainties: 1, or degree (phi).
+  double rms_error = 0.0;  ///< Likewise of the errors.
+  double rms_z = 0.0;      ///< Root mean square of error / u.
+  double coverage = 0.0;   ///< Share of 95 % intervals with the truth.
+  double most_z = 0.0;     ///< Largest |error / u|.
+  /// Probability of a mean of z^2 as far from 1 as this one if 1 is right, from resampled stages.
+  double probability = 1.0;
+  double limit = 0.0;  ///< Figure of the design that rms_u is to reach; 0: none.
+};
+
+struct StageExperimentOutcome {
+  StageExperiment experiment{};
+  std::string words;
+  int stages = 0;
+  int failed = 0;  ///< Fits without a solution.
+  std::array<StageGroup, kStageGroups> groups;
+};
+
+/// How often the test of a record contradicts it (docs/theory/series.md).
+struct RecordAlarms {
+  int sound = 0, sound_contradicted = 0;      ///< Runs on the stage of the record.
+  int knocked = 0, knocked_contradicted = 0;  ///< Runs after a knock: the fine map has changed.
+  int other = 0, other_contradicted = 0;      ///< Runs on another stage.
+};
+
+struct StageRecordStudy {
+  int stages = 0;
+  std::uint64_t seed = 0;
+  bool interrupted = false;
+  std::vector<StageExperimentOutcome> outcomes;
+  RecordAlarms alarms;
+  /// Groups whose z contradicts 1 at 5 % for all groups together (Holm).
+  std::vector<std::string> contradictions() const;
+  /// Groups whose uncertainty is larger than the figure of the design.
+  std::vector<std::string> missed() const;
+};
+
+/// Simulates the experiments on stages drawn from the default sizes, with noise of 1e-5 a mean. The same for
+/// any number of threads.
+/// @throws std::invalid_argument no stages, no threads
+StageRecordStudy run_stage_record_study(const StageRecordOptions& options);
+
+}  // namespace abcal
