@@ -28,7 +28,7 @@ struct AxisAngle {
 /// angle of its fine map.
 struct StageState {
   std::vector<std::string> names;  ///< EffectUnknown::name of each unknown of the table: "Zx", ...
-  std::vector<AxisAngle> angles;   ///< Of the fine map, in ascending order; they follow the names.
+  std::vector<AxisAngle> angles;   ///< Angles of the fine map, ascending; they follow the names.
   Eigen::VectorXd mean;            ///< 1, radian
   Eigen::MatrixXd covariance;
 
@@ -109,7 +109,7 @@ struct StageRecord {
   /// in four.
   SizeFound growth;
   std::vector<Learning> learnings;  ///< One at least, oldest first.
-  std::string sha256;               ///< Of the file that it was read from; empty: of none.
+  std::string sha256;               ///< Hash of the file that it was read from; empty: none.
 
   const std::string& learned_utc() const { return learnings.back().utc; }
   int runs() const;

@@ -27,7 +27,8 @@ int simulate_stage_records(const StageRecordOptions& given, bool json) {
   } else {
     print_result("{}", stage_record_text(study));
   }
-  return study.interrupted ? kExitInterrupted : kExitDone;
+  if (study.interrupted) return kExitInterrupted;
+  return study.missed().empty() && study.contradictions().empty() ? kExitDone : kExitFailed;
 }
 
 }  // namespace abcal

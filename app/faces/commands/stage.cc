@@ -10,7 +10,6 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -107,22 +106,22 @@ void write_figures(const StageRecord& record, const std::filesystem::path& folde
     }
     return out;
   };
-  std::vector<BandPanel> angles, tilts;
+  std::filesystem::create_directories(folder);
+  const auto write = [&](const std::string& name, const char* caption, const std::vector<BandPanel>& panels) {
+    OutputFile(folder / name).write(draw_svg(band_figure(caption, "angle, degrees", panels)));
+    print_log("wrote {}\n", (folder / name).string());
+  };
+  std::vector<BandPanel> angles;
   for (const char axis : {'X', 'Z'}) {
     angles.push_back(
         panel(fmt::format("{}, 0.001 degrees", axis), angle_error(record.state, axis), 1e3 * kDegrees));
+    std::vector<BandPanel> tilts;
     for (const int direction : {1, 2})
       tilts.push_back(panel(fmt::format("{}, direction {}, urad", axis, direction),
                             wobble(record.state, axis, direction), 1e6));
+    write(fmt::format("wobble-{}.svg", axis), "Wobble of an axis, less its mean, with U (k = 2)", tilts);
   }
-  std::filesystem::create_directories(folder);
-  for (const auto& [name, caption, panels] :
-       {std::tuple("angle-error.svg", "Error of the angle of each axis, less its mean, with U (k = 2)",
-                   angles),
-        std::tuple("wobble.svg", "Wobble of each axis, less its mean, with U (k = 2)", tilts)}) {
-    OutputFile(folder / name).write(draw_svg(band_figure(caption, "angle, degrees", panels)));
-    print_log("wrote {}\n", (folder / name).string());
-  }
+  write("angle-error.svg", "Error of the angle of each axis, less its mean, with U (k = 2)", angles);
 }
 
 struct LearnOptions {
@@ -163,14 +162,14 @@ void require_new_runs(const RunsOfStage& loaded, const StageRecord& before, cons
 }
 
 int learn(const LearnOptions& options) {
-  constexpr double kOneLearning_months = 2.0 / 30.44;
+  constexpr double kMonthsOfOneLearning = 2.0 / 30.44;
   std::error_code ignored;
   if (std::filesystem::exists(options.output, ignored))
     throw std::invalid_argument(fmt::format("-o {}: exists; required: a new file", options.output));
   const RunsOfStage loaded = load_runs_of_stage(options.runs, false);
   const std::string& first_utc = loaded.runs.front().header.created_utc;
   const std::string& last_utc = loaded.runs.back().header.created_utc;
-  if (months_between(first_utc, last_utc) > kOneLearning_months)
+  if (months_between(first_utc, last_utc) > kMonthsOfOneLearning)
     throw std::invalid_argument(fmt::format(
         "the runs began between {} and {}; required: runs of two days, as the stage changes from day to "
         "day; learn the later ones with --record",
@@ -326,21 +325,26 @@ void add_show(CLI::App& parent, int& exit_code) {
 }
 
 /// A subcommand about two files.
-void add_pair(CLI::App& parent, int& exit_code, const char* name, const char* words,
-              const std::pair<const char*, const char*>& first,
-              const std::pair<const char*, const char*>& second,
-              int (*work)(const std::string&, const std::string&, bool)) {
+struct PairCommand {
+  const char *name, *words;
+  const char *first, *first_words;
+  const char *second, *second_words;
+  int (*work)(const std::string& first, const std::string& second, bool json);
+};
+
+void add_pair(CLI::App& parent, int& exit_code, const PairCommand& pair) {
   struct Options {
     std::string first, second;
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command = parent.add_subcommand(name, words);
-  command->add_option(first.first, options->first, first.second)->required();
-  command->add_option(second.first, options->second, second.second)->required();
+  CLI::App* command = parent.add_subcommand(pair.name, pair.words);
+  command->add_option(pair.first, options->first, pair.first_words)->required();
+  command->add_option(pair.second, options->second, pair.second_words)->required();
   command->add_flag("--json", options->json, "print one JSON object");
-  command->callback(
-      [options, work, &exit_code] { exit_code = work(options->first, options->second, options->json); });
+  command->callback([options, work = pair.work, &exit_code] {
+    exit_code = work(options->first, options->second, options->json);
+  });
 }
 
 }  // namespace
@@ -351,11 +355,12 @@ CLI::App* add_stage(CLI::App& parent, int& exit_code) {
   command->require_subcommand(1);
   add_learn(*command, exit_code);
   add_show(*command, exit_code);
-  add_pair(*command, exit_code, "check", "Whether a run agrees with the record of its stage; exit 1 if not",
-           {"FILE", "record of the stage"}, {"RUN", "run file, other than those that taught it"},
-           check_against);
-  add_pair(*command, exit_code, "compare", "Whether two records of one stage agree; exit 1 if not",
-           {"FIRST", "record of a stage"}, {"SECOND", "another record of that stage"}, compare_records);
+  add_pair(*command, exit_code,
+           {"check", "Whether a run agrees with the record of its stage; exit 1 if not", "FILE",
+            "record of the stage", "RUN", "run file, other than those that taught it", check_against});
+  add_pair(*command, exit_code,
+           {"compare", "Whether two records of one stage agree; exit 1 if not", "FIRST", "record of a stage",
+            "SECOND", "another record of that stage", compare_records});
   return command;
 }
 

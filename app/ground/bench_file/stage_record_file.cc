@@ -212,8 +212,8 @@ StageIdentity stage_identity(const StoredRun& run) {
 }
 
 double months_between(std::string_view earlier_utc, std::string_view later_utc) {
-  constexpr double kMonth_s = 30.44 * 86'400.0;
-  return std::max(0.0, std::difftime(time_of(later_utc), time_of(earlier_utc)) / kMonth_s);
+  constexpr double kSecondsOfMonth = 30.44 * 86'400.0;
+  return std::max(0.0, std::difftime(time_of(later_utc), time_of(earlier_utc)) / kSecondsOfMonth);
 }
 
 }  // namespace abcal

@@ -14,7 +14,7 @@ namespace abcal {
 struct RunsOfStage {
   std::vector<std::string> files;
   std::vector<StoredRun> runs;
-  std::vector<std::string> sha256;  ///< Of each file.
+  std::vector<std::string> sha256;  ///< Hashes of the files.
   std::vector<int> items;           ///< Number of each run's item, from 0 in the order of their first runs.
   std::vector<RunRecord> records() const;
 };

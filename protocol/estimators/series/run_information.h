@@ -16,11 +16,11 @@ namespace abcal {
 /// holds the readings alone: no prior of these unknowns. The model is linear at `at`, the solution of the
 /// run's own fit, which is nearer to the truth than an error of second order (1e-8) shows.
 struct RunInformation {
-  std::string source;                              ///< Of the run, for messages.
+  std::string source;                              ///< The run, for messages.
   EffectSizes sizes;                               ///< Stated with the run.
   EffectLayout layout;                             ///< Own unknowns, then those of the stage.
   std::vector<EffectUnknown> unknowns;             ///< As the layout has them.
-  std::vector<AxisAngle> visits;                   ///< Of the axis that moves, in the order of the readings.
+  std::vector<AxisAngle> visits;                   ///< Angles of the axis that moves, reading by reading.
   Eigen::Vector3d unit = Eigen::Vector3d::Ones();  ///< S_j (R): the relative unit.
   Eigen::VectorXd at;
   Eigen::MatrixXd weight;

@@ -89,7 +89,7 @@ struct Eliminated {
   double log_determinant = 0.0;
   std::vector<Eigen::Index> own;  ///< Eliminated unknowns of the run, as places in q.
   Eigen::VectorXd own_weight;     ///< Weights of their priors.
-  Cholesky own_normal;            ///< Of their normal matrix, the other unknowns given.
+  Cholesky own_normal;            ///< Their normal matrix, the other unknowns given.
   Eigen::MatrixXd follow;         ///< Minus the derivatives of their best values by q.
   Eigen::VectorXd own_change;     ///< Their best values where q is at the point of the linear model.
 };
@@ -153,8 +153,8 @@ class Series {
   Eigen::MatrixXd prior_;  ///< Weights of the priors of all unknowns.
   Eigen::VectorXd prior_mean_;
   std::vector<Eigen::Index> new_angles_;  ///< Places of the fine map of which nothing is known before.
-  double map_log_determinant_ = 0.0;      ///< Of the covariance of their priors.
-  double stage_log_determinant_ = 0.0;    ///< Of that of the rest of the stage.
+  double map_log_determinant_ = 0.0;      ///< log det of the covariance of their priors.
+  double stage_log_determinant_ = 0.0;    ///< Likewise of the rest of the stage.
   std::vector<std::pair<std::string, std::string>>
       effect_of_;  ///< Effect and key of each unknown, for budgets.
 
@@ -610,7 +610,7 @@ void Series::add_shares(std::size_t i, SeriesItem& out) const {
     ++share.unknowns;
     share.covariance += prior_(a, a) * response.row(a).transpose() * response.row(a);
   }
-  // What was eliminated follows the unknowns of its run.
+  // Eliminated unknowns follow those that are left of their run.
   for (std::size_t k = 0; k < runs_.size(); ++k) {
     const Run& run = runs_[k];
     const Eliminated& information = eliminated_[k];

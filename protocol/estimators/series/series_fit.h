@@ -66,7 +66,7 @@ struct SeriesFit {
   Repeatabilities repeatabilities{};
   double chi2 = 0.0;            ///< For all readings, priors included.
   int degrees_of_freedom = 0;   ///< Readings - 12 for each item.
-  double log_likelihood = 0.0;  ///< Of the readings, up to a constant of the readings.
+  double log_likelihood = 0.0;  ///< Density of the readings, up to a constant of theirs.
   double reciprocal_condition = 0.0;
 };
 

@@ -9,7 +9,7 @@
 
 namespace abcal {
 
-/// What a learning found.
+/// Findings of a learning.
 struct StageLearned {
   /// State, sizes, repeatabilities and growth; the caller adds identity and learnings.
   StageRecord record;

@@ -221,11 +221,11 @@ struct FaceResults {
 /// The record of the stage that a joint result rests on, and its test by the run.
 struct StageRecordUse {
   std::string stage;        ///< "Newport XPS-D, serial number 17"
-  std::string learned_utc;  ///< Of its last learning.
+  std::string learned_utc;  ///< Time of its last learning.
   int runs = 0;             ///< That taught it.
   double age_months = 0.0;  ///< At the time of the run.
   double validity_months = 0.0;
-  std::string sha256;             ///< Of its file.
+  std::string sha256;             ///< Hash of its file.
   std::vector<EffectTest> tests;  ///< Part by part.
   bool agrees = true;
 };
@@ -235,7 +235,7 @@ struct SeriesMember {
   std::string source;                      ///< File of the run.
   std::string mounting;                    ///< "as in the first run", "turned by 90 degrees about X".
   std::array<double, 3> small_turn_deg{};  ///< Further turn about x, y, z of the platter.
-  Verdict verdict = Verdict::kNotUsable;   ///< Of the run alone.
+  Verdict verdict = Verdict::kNotUsable;   ///< Verdict on the run alone.
 };
 
 /// Results that only the norm estimator gives.
