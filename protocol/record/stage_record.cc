@@ -10,13 +10,13 @@ namespace abcal {
 namespace {
 
 struct PartWords {
-  std::string_view name, words, key;
+  std::string_view name, words;
 };
 constexpr std::array<PartWords, kRepeatParts> kParts{
-    PartWords{"step", "step errors, from visit to visit", "step_deg"},
-    PartWords{"homing", "zeros, from homing to homing", "zero_deg"},
-    PartWords{"floor", "alignment, from run to run", "alignment_deg"},
-    PartWords{"turn", "initial turns, from run to run", "initial_turn_deg"},
+    PartWords{"step", "step errors, from visit to visit"},
+    PartWords{"homing", "zeros, from homing to homing"},
+    PartWords{"floor", "alignment, from run to run"},
+    PartWords{"turn", "initial turns, from run to run"},
 };
 const PartWords& words_of(RepeatPart part) {
   return kParts[static_cast<std::size_t>(part)];
@@ -35,6 +35,10 @@ double stated_size_of(const EffectSizes& sizes, const StageState& state, Eigen::
 
 }  // namespace
 
+std::string name_of_map(const AxisAngle& angle) {
+  return fmt::format("fine map of {} at {:g} degrees", angle.axis, angle.degrees());
+}
+
 Eigen::Index StageState::place_of(std::string_view name) const {
   const auto found = std::find(names.begin(), names.end(), name);
   return found == names.end() ? -1 : found - names.begin();
@@ -49,8 +53,7 @@ Eigen::Index StageState::place_of(const AxisAngle& angle) const {
 std::string StageState::name_of(Eigen::Index place) const {
   const auto at = static_cast<std::size_t>(place);
   if (at < names.size()) return names[at];
-  const AxisAngle& angle = angles[at - names.size()];
-  return fmt::format("fine map of {} at {:g} degrees", angle.axis, angle.degrees());
+  return name_of_map(angles[at - names.size()]);
 }
 
 int repeat_part_of(std::string_view unknown_name) {
@@ -68,10 +71,6 @@ std::string_view to_string(RepeatPart part) {
 
 std::string_view in_words(RepeatPart part) {
   return words_of(part).words;
-}
-
-std::string_view size_key_of(RepeatPart part) {
-  return words_of(part).key;
 }
 
 double stated_size(const EffectSizes& sizes, RepeatPart part) {

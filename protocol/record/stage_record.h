@@ -23,6 +23,9 @@ struct AxisAngle {
   double degrees() const { return 1e-6 * static_cast<double>(microdegrees); }
 };
 
+/// "fine map of X at 35 degrees".
+std::string name_of_map(const AxisAngle& angle);
+
 /// The errors of a stage that it repeats, with all their covariances: its alignment, zeros, initial turns,
 /// smooth step errors and wobble (protocol/model/effects.h), and the further step error of each axis at each
 /// angle of its fine map.
@@ -57,9 +60,7 @@ int repeat_part_of(std::string_view unknown_name);
 std::string_view to_string(RepeatPart part);
 /// "step of a visit", "zeros, from homing to homing", ...
 std::string_view in_words(RepeatPart part);
-/// Key of the size that limits it: "step_deg", "zero_deg", "alignment_deg", "initial_turn_deg".
-std::string_view size_key_of(RepeatPart part);
-/// That size (radian).
+/// The stated size that limits it (radian).
 double stated_size(const EffectSizes& sizes, RepeatPart part);
 
 /// A standard deviation that is known with a posterior distribution: of what a stage does not repeat

@@ -5,25 +5,14 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "app/faces/commands/study_bar.h"
 #include "app/ground/system/exit_code.h"
-#include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
-#include "app/ground/system/progress.h"
-#include "app/ground/system/real_clock.h"
 
 namespace abcal {
 
-int simulate_joint(const JointStudyOptions& given, bool json) {
-  JointStudyOptions options = given;
-  const RealClock clock;
-  ProgressBar bar("simulating", clock);
-  const Clock::Instant start = clock.now();
-  options.stop = interrupt_token();
-  options.progress = [&](int done, int planned) {
-    if (to_seconds(clock.now() - start) > 2.0) bar.show(done, planned);
-  };
-  const JointStudy study = run_joint_study(options);
-  bar.clear();
+int simulate_joint(const JointStudyOptions& options, bool json) {
+  const JointStudy study = with_bar(options, run_joint_study);
   if (study.interrupted) {
     print_log("interrupted: the first {} of {} runs\n", study.trials, options.trials);
   }

@@ -214,6 +214,24 @@ int learn(const LearnOptions& options) {
   return kExitDone;
 }
 
+nlohmann::ordered_json tests_json(const std::vector<EffectTest>& tests) {
+  nlohmann::ordered_json list = nlohmann::ordered_json::array();
+  for (const EffectTest& test : tests)
+    list.push_back({{"part", test.name},
+                    {"times_expected", test.times_stated},
+                    {"probability", test.probability},
+                    {"passed", test.passed}});
+  return list;
+}
+
+std::string tests_table(const std::vector<EffectTest>& tests) {
+  std::string text = fmt::format("{:<28} {:>14} {:>12}\n", "part", "times expected", "probability");
+  for (const EffectTest& test : tests)
+    text += fmt::format("{:<28} {:>14.2f} {:>12.2g}{}\n", test.name, test.times_stated, test.probability,
+                        test.passed ? "" : "  !");
+  return text;
+}
+
 int check_against(const std::string& file, const std::string& run, bool json) {
   const auto record = std::make_shared<const StageRecord>(read_stage_record(file));
   RunsOfStage loaded = load_runs_of_stage({run}, true);
@@ -222,19 +240,13 @@ int check_against(const std::string& file, const std::string& run, bool json) {
   if (!result.stage_record) throw std::runtime_error(fmt::format("{}: {}", run, result.why));
   const StageRecordUse& use = *result.stage_record;
   if (json) {
-    nlohmann::ordered_json tests = nlohmann::ordered_json::array();
-    for (const EffectTest& test : use.tests)
-      tests.push_back({{"part", test.name},
-                       {"times_expected", test.times_stated},
-                       {"probability", test.probability},
-                       {"passed", test.passed}});
     print_result("{}\n", nlohmann::ordered_json{{"schema", "abcal.stage-check/1"},
                                                 {"run", run},
                                                 {"record", file},
                                                 {"agrees", use.agrees},
                                                 {"age_months", use.age_months},
                                                 {"validity_months", use.validity_months},
-                                                {"tests", std::move(tests)}}
+                                                {"tests", tests_json(use.tests)}}
                              .dump(2));
     return use.agrees ? kExitDone : kExitFailed;
   }
@@ -242,12 +254,9 @@ int check_against(const std::string& file, const std::string& run, bool json) {
       emphasised(stdout, use.agrees ? Emphasis::kGood : Emphasis::kBad,
                  use.agrees ? "The run agrees with the record." : "The run contradicts the record.") +
       "\n";
-  text += fmt::format("Age of the record: {:.1f} months; good for {:.1f}\n\n{:<28} {:>14} {:>12}\n",
-                      use.age_months, use.validity_months, "part", "times expected", "probability");
-  for (const EffectTest& test : use.tests)
-    text += fmt::format("{:<28} {:>14.2f} {:>12.2g}{}\n", test.name, test.times_stated, test.probability,
-                        test.passed ? "" : "  !");
-  print_result("{}", text);
+  text += fmt::format("Age of the record: {:.1f} months; good for {:.1f}\n\n", use.age_months,
+                      use.validity_months);
+  print_result("{}{}", text, tests_table(use.tests));
   return use.agrees ? kExitDone : kExitFailed;
 }
 
@@ -262,30 +271,20 @@ int compare_records(const std::string& first, const std::string& second, bool js
   judge_record(tests);
   const bool agree = std::ranges::all_of(tests, &EffectTest::passed);
   if (json) {
-    nlohmann::ordered_json list = nlohmann::ordered_json::array();
-    for (const EffectTest& test : tests)
-      list.push_back({{"part", test.name},
-                      {"times_expected", test.times_stated},
-                      {"probability", test.probability},
-                      {"passed", test.passed}});
     print_result("{}\n", nlohmann::ordered_json{{"schema", "abcal.stage-compare/1"},
                                                 {"months", months},
                                                 {"continued", continued},
                                                 {"agree", agree},
-                                                {"tests", std::move(list)}}
+                                                {"tests", tests_json(tests)}}
                              .dump(2));
     return agree ? kExitDone : kExitFailed;
   }
   std::string text = fmt::format(
-      "{}\n{:.1f} months apart; {}\n\n{:<28} {:>14} {:>12}\n",
+      "{}\n{:.1f} months apart; {}\n\n",
       emphasised(stdout, agree ? Emphasis::kGood : Emphasis::kBad,
                  agree ? "The records agree." : "The stage has changed more than the records expect."),
-      months, continued ? "the later one continues the earlier one" : "independent learnings", "part",
-      "times expected", "probability");
-  for (const EffectTest& test : tests)
-    text += fmt::format("{:<28} {:>14.2f} {:>12.2g}{}\n", test.name, test.times_stated, test.probability,
-                        test.passed ? "" : "  !");
-  print_result("{}", text);
+      months, continued ? "the later one continues the earlier one" : "independent learnings");
+  print_result("{}{}", text, tests_table(tests));
   return agree ? kExitDone : kExitFailed;
 }
 

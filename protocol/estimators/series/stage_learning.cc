@@ -137,8 +137,7 @@ std::string furthest(const RunInformation& run, const SeriesRunResult& found, co
   }
   if (at < 0) return {};
   if (at < run.layout.count()) return run.unknowns[static_cast<std::size_t>(at)].name;
-  const AxisAngle& angle = run.visits[static_cast<std::size_t>(at - run.layout.count())];
-  return fmt::format("fine map of {} at {:g} degrees", angle.axis, angle.degrees());
+  return name_of_map(run.visits[static_cast<std::size_t>(at - run.layout.count())]);
 }
 
 }  // namespace
