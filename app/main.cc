@@ -17,6 +17,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_check(app, exit_code);
   add_level(app, exit_code);
   add_stage(app, exit_code);
+  add_mountings(app, exit_code);
   add_gravity(app, exit_code);
   add_self_test(app, exit_code);
   add_run(app, exit_code);

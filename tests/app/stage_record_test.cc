@@ -144,7 +144,7 @@ TEST_F(StageCommands, MountingsAreFoundFromTheRunsAndGiveTheItem) {
   const Json both = json_of({"analyse", "m2.run", "m1.run"});
   EXPECT_LT(u_of_offset(both), 0.6 * u_of_offset(one));
   EXPECT_EQ(both.at("series").at(0).at("mounting"), "as in the first run");
-  EXPECT_EQ(both.at("series").at(1).at("mounting"), "turned by 90 degrees about -X");
+  EXPECT_EQ(both.at("series").at(1).at("mounting"), "turned by 90 degrees about X");
   const ProgramResult twice = abcal({"analyse", "m1.run", "m1.run"});
   EXPECT_EQ(twice.exit_code, 2);
   EXPECT_THAT(twice.err, HasSubstr("is given twice"));

@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <filesystem>
 #include <fstream>
@@ -67,7 +68,7 @@ void keep(const std::filesystem::path& path, const std::vector<Kept>& analyses) 
 
 struct AnalyseOptions {
   std::vector<std::string> files;
-  std::string file;  ///< The first.
+  std::string file;  ///< All of them, for messages and commands.
   std::string stage_record;
   std::string estimator;
   std::string truth;
@@ -209,7 +210,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       "--truth", options->truth,
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
   command->callback([options, &exit_code] {
-    options->file = options->files.front();
+    options->file = fmt::format("{}", fmt::join(options->files, " "));
     if (options->files.size() > 1) {
       exit_code = show_series(*options);
       return;

@@ -2,12 +2,8 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <poll.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <array>
-#include <cerrno>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -16,6 +12,7 @@
 
 #include "app/faces/commands/run.h"
 #include "app/faces/commands/terminal_listener.h"
+#include "app/faces/commands/wait_for_enter.h"
 #include "app/faces/run/run_session.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/bench_file/bench_records.h"
@@ -74,20 +71,12 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
 
 /// Waits for a person. @throws RunInterrupted
 void ask_to_remount(int run, int runs) {
-  print_log(
-      "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
-      "press Enter when nobody is touching the stage (Ctrl-C ends the campaign): ",
-      run, runs);
-  std::array<char, 256> line{};
-  for (;;) {
-    if (interrupt_token().stop_requested()) throw RunInterrupted("stopped by the operator between two runs");
-    pollfd input{STDIN_FILENO, POLLIN, 0};
-    const int ready = ::poll(&input, 1, 200);  // ms, between two checks for an interrupt
-    if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
-    if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
-    throw std::runtime_error(
-        "the terminal was closed, so nobody can confirm that the accelerometer is mounted");
-  }
+  wait_for_enter(
+      fmt::format(
+          "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
+          "press Enter when nobody is touching the stage (Ctrl-C ends the campaign): ",
+          run, runs),
+      "between two runs");
 }
 
 /// Prints which runs of a campaign that ends early are complete, and the command that continues it.
@@ -142,7 +131,7 @@ void measure_missing(const CampaignOptions& options, const BenchConfig& config,
 }  // namespace
 
 int run_campaign(const CampaignOptions& options) {
-  if (options.remount && ::isatty(STDIN_FILENO) == 0) {
+  if (options.remount && !is_person_at_terminal()) {
     throw std::invalid_argument(
         "--remount: a person must confirm that the accelerometer was remounted, but standard input is not a "
         "terminal; required: a terminal, or no --remount");

@@ -17,7 +17,7 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 28> kHelp{{
+constexpr std::array<CommandHelp, 29> kHelp{{
     {"init", kPrepare, "abcal init\nabcal init --stage emulated"},
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
@@ -28,6 +28,7 @@ constexpr std::array<CommandHelp, 28> kHelp{{
     {"gravity", kPrepare, "abcal gravity --latitude 52.3 --height 80"},
     {"self-test", kPrepare, "abcal self-test"},
     {"run", kMeasure, "abcal run bench.toml -o sn1234.run\nabcal run bench.toml -o sn1234.run --record"},
+    {"mountings", kMeasure, "abcal mountings bench.toml --mountings 3"},
     {"resume", kMeasure, "abcal resume sn1234.run"},
     {"temperature", kMeasure, "abcal temperature bench.toml -o series"},
     {"serve", kMeasure, "abcal serve bench.toml"},

@@ -10,6 +10,7 @@
 
 #include "protocol/linear/singular_values.h"
 #include "protocol/plan/limits.h"
+#include "protocol/plan/mountings.h"
 
 namespace abcal {
 namespace {
@@ -222,16 +223,11 @@ NearestMounting nearest_mounting(const Matrix3d& axes) {
   do {
     for (int signs = 0; signs < 8; ++signs) {
       Matrix3d candidate = Matrix3d::Zero();
-      std::string words;
-      for (int j = 0; j < 3; ++j) {
-        const bool is_reversed = ((signs >> j) & 1) != 0;
-        const int axis = order[static_cast<std::size_t>(j)];
-        candidate(j, axis) = is_reversed ? -1.0 : 1.0;
-        words += fmt::format("{}{}{}", j == 0 ? "" : " ", is_reversed ? "-" : "", "xyz"[axis]);
-      }
+      for (int j = 0; j < 3; ++j)
+        candidate(j, order[static_cast<std::size_t>(j)]) = ((signs >> j) & 1) != 0 ? -1.0 : 1.0;
       if (candidate.determinant() < 0.0) continue;
       if (const Angle tilt = turn_between(candidate, axes); tilt < nearest.tilt)
-        nearest = {candidate, std::move(words), tilt};
+        nearest = {candidate, mounting_words(candidate).value(), tilt};
     }
   } while (std::ranges::next_permutation(order).found);
   return nearest;

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -15,12 +14,12 @@
 #include "protocol/estimators/joint/collect_readings.h"
 #include "protocol/estimators/series/stage_learning.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/plan/mountings.h"
 #include "sim/drawn_stage.h"
 
 namespace abcal {
 namespace {
 
-constexpr double kRightAngle = 0.5 * std::numbers::pi;
 constexpr double kCoverageFactor = 1.959963984540054;
 
 struct Design {
@@ -41,35 +40,6 @@ constexpr std::array<Design, kStageExperiments> kDesigns{
            {2.6e-6, 2.0e-6, 8e-6, 1.6e-4}},
     Design{StageExperiment::kYearLater, "new item, 3 x 24, a year after the learning", {}},
 };
-
-Eigen::Matrix3d turned(const Eigen::Vector3d& axis, double angle) {
-  return Eigen::AngleAxisd(angle, axis).toRotationMatrix();
-}
-
-std::vector<Eigen::Matrix3d> cyclic_mountings(const std::vector<Eigen::Matrix3d>& each) {
-  Eigen::Matrix3d cycle;
-  cycle << 0, 1, 0, 0, 0, 1, 1, 0, 0;
-  std::vector<Eigen::Matrix3d> out;
-  for (const Eigen::Matrix3d& first :
-       {Eigen::Matrix3d(Eigen::Matrix3d::Identity()), cycle, Eigen::Matrix3d(cycle * cycle)})
-    for (const Eigen::Matrix3d& second : each) out.push_back(first * second);
-  return out;
-}
-
-std::vector<Eigen::Matrix3d> two_mountings() {
-  return {Eigen::Matrix3d::Identity(), turned(Eigen::Vector3d::UnitX(), kRightAngle)};
-}
-std::vector<Eigen::Matrix3d> six_mountings() {
-  return cyclic_mountings({Eigen::Matrix3d::Identity(), turned(Eigen::Vector3d::UnitZ(), 2.0 * kRightAngle)});
-}
-std::vector<Eigen::Matrix3d> twelve_mountings() {
-  std::vector<Eigen::Matrix3d> half{Eigen::Matrix3d::Identity()};
-  for (const Eigen::Vector3d& axis :
-       {Eigen::Vector3d(Eigen::Vector3d::UnitX()), Eigen::Vector3d(Eigen::Vector3d::UnitY()),
-        Eigen::Vector3d(Eigen::Vector3d::UnitZ())})
-    half.push_back(turned(axis, 2.0 * kRightAngle));
-  return cyclic_mountings(half);
-}
 
 /// A run with its truth, as the fit of a series takes it.
 struct MeasuredRun {
@@ -125,7 +95,8 @@ class Trial {
     runs_of_item_ = 0;
   }
 
-  MeasuredRun measure(int faces, int steps, const Eigen::Matrix3d& mounting) {
+  /// @param turn  how the item is mounted, as mounting_turns() has it
+  MeasuredRun measure(int faces, int steps, const Eigen::Matrix3d& turn) {
     constexpr double kMounting = 0.5 * std::numbers::pi / 180.0;
     ScenarioBench b = bench_;
     const EffectSizes& sizes = b.stated;
@@ -136,7 +107,7 @@ class Trial {
     b.truth.span_s = (3 * (steps + faces) - 1) * b.angle_period_s;
     const Eigen::Vector3d small =
         runs_of_item_++ > 0 ? draw_.normals(kMounting) : Eigen::Vector3d(Eigen::Vector3d::Zero());
-    b.truth.sensitivity_matrix = bench_.truth.sensitivity_matrix * sim::turned_by(small) * mounting;
+    b.truth.sensitivity_matrix = bench_.truth.sensitivity_matrix * sim::turned_by(small) * turn.transpose();
     b.truth.drift_1 = draw_.normals(sizes.drift);
     b.truth.drift_2 = draw_.normals(sizes.drift);
     b.truth.drift_3 = draw_.normals(sizes.drift);
@@ -245,10 +216,10 @@ struct Series {
   SeriesFit fit;
 };
 
-Series measure(Trial& trial, int faces, int steps, const std::vector<Eigen::Matrix3d>& mountings,
+Series measure(Trial& trial, int faces, int steps, const std::vector<Eigen::Matrix3d>& turns,
                const SeriesOptions& options = {}) {
   Series out;
-  for (const Eigen::Matrix3d& mounting : mountings) out.runs.push_back(trial.measure(faces, steps, mounting));
+  for (const Eigen::Matrix3d& turn : turns) out.runs.push_back(trial.measure(faces, steps, turn));
   std::vector<SeriesRun> runs;
   for (const MeasuredRun& run : out.runs) runs.push_back({&run.information, 0});
   out.fit = fit_series(runs, options);
@@ -288,15 +259,14 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
     Trial trial(seed, stage, false);
     at(StageExperiment::kTwoFaces) = outcome_of(measure(trial, 2, 72, {as_is}), true);
     trial.new_item();
-    at(StageExperiment::kTwoMountings) = outcome_of(measure(trial, 2, 36, two_mountings()), false);
+    at(StageExperiment::kTwoMountings) = outcome_of(measure(trial, 2, 36, mounting_turns(2)), false);
     trial.new_item();
-    at(StageExperiment::kSixMountings) = outcome_of(measure(trial, 1, 12, six_mountings()), false);
+    at(StageExperiment::kSixMountings) = outcome_of(measure(trial, 1, 12, mounting_turns(6)), false);
   }
   Trial trial(seed, stage, true);
   Series taught;
   std::vector<SeriesRun> teaching;
-  for (const Eigen::Matrix3d& mounting : twelve_mountings())
-    taught.runs.push_back(trial.measure(1, 24, mounting));
+  for (const Eigen::Matrix3d& turn : mounting_turns(12)) taught.runs.push_back(trial.measure(1, 24, turn));
   for (const MeasuredRun& run : taught.runs) teaching.push_back({&run.information, 0});
   StageLearned learned = learn_stage(teaching, std::nullopt, 0.0);
   taught.fit = std::move(learned.fit);
@@ -309,7 +279,7 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
   out.alarms.sound += 1;
   out.alarms.sound_contradicted += contradicts(sound, record) ? 1 : 0;
   trial.new_item();
-  const Series two = measure(trial, 2, 36, two_mountings(), record);
+  const Series two = measure(trial, 2, 36, mounting_turns(2), record);
   at(StageExperiment::kTwoMountingsWithRecord) = outcome_of(two, true);
   out.alarms.sound += 1;
   out.alarms.sound_contradicted += contradicts(two, record) ? 1 : 0;

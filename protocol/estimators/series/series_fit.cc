@@ -19,6 +19,7 @@
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/linear/cholesky.h"
 #include "protocol/linear/products.h"
+#include "protocol/plan/mountings.h"
 
 namespace abcal {
 namespace {
@@ -654,10 +655,13 @@ SeriesRunResult Series::run_result(std::size_t k) const {
   const Run& run = runs_[k];
   const Eliminated& information = eliminated_[k];
   SeriesRunResult out;
-  out.turn = run.turn;
+  // s in this run is s R(p) M with the small turn p and a turn M of a cube: the item itself has turned by
+  // (R(p) M)' = R(-M' p) M'.
+  out.turn = run.turn.transpose();
   if (run.mounting >= 0) {
-    out.small_turn = point_.segment<3>(run.mounting);
-    out.small_turn_covariance = covariance_.block<3, 3>(run.mounting, run.mounting);
+    out.small_turn = -(out.turn * point_.segment<3>(run.mounting));
+    out.small_turn_covariance =
+        out.turn * covariance_.block<3, 3>(run.mounting, run.mounting) * out.turn.transpose();
   }
   // q = J x + e with e = change - follow (J x - at) for the unknowns of the run alone.
   out.value = q_of(run);
@@ -704,16 +708,8 @@ SeriesFit Series::result() {
 }  // namespace
 
 std::string SeriesRunResult::mounting() const {
-  const Eigen::AngleAxisd turned(turn);
-  const double degrees = std::round(turned.angle() * 180.0 / std::numbers::pi);
-  if (degrees == 0.0) return "as in the first run";
-  std::string axis;
-  for (Eigen::Index k = 0; k < 3; ++k) {
-    const double along = turned.axis()(k);
-    if (std::abs(along) < 0.1) continue;
-    axis += fmt::format("{}{}", along < 0.0 ? "-" : (axis.empty() ? "" : "+"), "XYZ"[k]);
-  }
-  return fmt::format("turned by {:g} degrees about {}", degrees, axis);
+  const std::string words = turn_in_words(turn);
+  return words.empty() ? "as in the first run" : words;
 }
 
 SeriesFit fit_series(std::span<const SeriesRun> runs, const SeriesOptions& options) {

@@ -37,7 +37,7 @@ struct SeriesRunResult {
   /// How the item is mounted, against its first run in the series: one of the 24 turns of a cube. A vector v
   /// of the item in its first run is now turn v, in the frame of the platter.
   Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();
-  /// Further small turn (radian), about the axes of the platter; zero in the first run.
+  /// Further small turn after that (radian), about the axes of the platter; zero in the first run.
   Eigen::Vector3d small_turn = Eigen::Vector3d::Zero();
   Eigen::Matrix3d small_turn_covariance = Eigen::Matrix3d::Zero();
   /// "as in the first run"; "turned by 90 degrees about X".

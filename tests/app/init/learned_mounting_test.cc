@@ -10,9 +10,12 @@
 #include <algorithm>
 #include <array>
 #include <functional>
+#include <set>
 
 #include "app/operate/session/bench_check.h"
+#include "app/operate/session/mounting_series.h"
 #include "protocol/plan/limits.h"
+#include "protocol/plan/mountings.h"
 
 namespace abcal {
 namespace {
@@ -109,6 +112,46 @@ std::string refusal(const std::vector<PoseReading>& poses, const MountingSearch&
   } catch (const MountingUnclear& error) {
     return error.what();
   }
+}
+
+TEST(SeriesMounting, NamesTheTurnThatIsMissing) {
+  for (const std::string& found : all_mountings())
+    for (const char* required : {"x y z", "x z -y", "y z x"}) {
+      const MountingJudgement judged =
+          judge_series_mounting(readings(TrueBench{.mounting = found}), in_g(), required);
+      EXPECT_EQ(judged.is_as_required, found == required) << found << ": " << judged.words;
+    }
+  const auto words = [](const TrueBench& bench) {
+    return judge_series_mounting(readings(bench), in_g(), "x z -y").words;
+  };
+  EXPECT_THAT(words(TrueBench{.mounting = "x y z"}),
+              HasSubstr("it is still to be turned by 90 degrees about X"));
+  EXPECT_THAT(words(TrueBench{.mounting = "x z -y", .sign_z = -1}), HasSubstr("[stage.z] sign"));
+}
+
+TEST(SeriesMounting, TheTurnsOfASeriesAreThoseOfItsWords) {
+  BenchConfig config;
+  config.items.front().expected.mounting = "-y x z";
+  for (const int count : kMountingCounts) {
+    const std::vector<SeriesMounting> series = mountings_of_series(config, count);
+    ASSERT_EQ(series.size(), static_cast<std::size_t>(count));
+    std::set<std::string> different;
+    for (const SeriesMounting& one : series) {
+      different.insert(one.mounting);
+      EXPECT_EQ(one.bench.items.front().expected.mounting, one.mounting);
+    }
+    EXPECT_EQ(different.size(), series.size());
+    EXPECT_EQ(series.front().mounting, "-y x z");
+    EXPECT_EQ(series.front().words, "as in the first run");
+  }
+  // Turned by 90 degrees about X, y becomes z and z becomes -y.
+  const SeriesMounting second = mountings_of_series(config, 2).at(1);
+  EXPECT_EQ(second.words, "turned by 90 degrees about X");
+  EXPECT_EQ(second.mounting, "-z x -y");
+  EXPECT_THAT(mounting_drawing(second.mounting),
+              AllOf(HasSubstr("z: -u   (up)"), HasSubstr("y: -w"), HasSubstr("x: v ")));
+  config.items.front().expected.mounting = "-x y z";
+  EXPECT_THROW(mountings_of_series(config, 3), std::invalid_argument);
 }
 
 TEST(LearnMounting, FindsEveryMountingAndBothSigns) {
