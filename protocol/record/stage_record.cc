@@ -35,6 +35,12 @@ double stated_size_of(const EffectSizes& sizes, const StageState& state, Eigen::
 
 }  // namespace
 
+AxisAngle visited_angle(int experiment, Angle alpha) {
+  constexpr std::int64_t kTurn = 360'000'000;
+  const std::int64_t angle = std::llround(alpha.deg() * 1e6) % kTurn;
+  return {experiment == 3 ? 'Z' : 'X', angle < 0 ? angle + kTurn : angle};
+}
+
 std::string name_of_map(const AxisAngle& angle) {
   return fmt::format("fine map of {} at {:g} degrees", angle.axis, angle.degrees());
 }

@@ -23,6 +23,9 @@ struct AxisAngle {
   double degrees() const { return 1e-6 * static_cast<double>(microdegrees); }
 };
 
+/// The angle of the axis that moves at a commanded angle of experiment 1, 2 or 3.
+AxisAngle visited_angle(int experiment, Angle alpha);
+
 /// "fine map of X at 35 degrees".
 std::string name_of_map(const AxisAngle& angle);
 

@@ -109,8 +109,11 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
   study.budget = make_budget(record, study.result, options.resolution);
   study.combined =
       run_monte_carlo(kStudyOutputs, whole_budget(sampler, study.budget, options.seed), engine());
-  study.acs_measured = options.measured.has_value();
-  study.type_a = run_type_a(record, options.measured.value_or(MeasuredAcs::not_measured(record)),
+  const StageRecordInUse& measured = record.stage_record;
+  if (measured.record) study.acs_measured = measured.record->sha256;
+  study.type_a = run_type_a(record,
+                            measured.record ? MeasuredAcs::of(*measured.record, measured.age_months)
+                                            : MeasuredAcs::not_measured(record),
                             options.seed, engine());
   study.interrupted = study.type_b.interrupted || study.combined.interrupted || study.type_a.interrupted;
 

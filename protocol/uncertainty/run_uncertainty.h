@@ -22,8 +22,6 @@ struct UncertaintyOptions {
   int validation_digits = 1;  ///< Meaningful digits of u in the validation of the GUM framework.
   std::uint64_t seed = 1;
   unsigned threads = 0;
-  std::optional<MeasuredAcs>
-      measured;  ///< For the type A evaluation; absent: nothing measured, tolerances instead.
   std::optional<double> resolution;  ///< Step of the output (R).
   bool paper_preset = false;         ///< Section 5's bounds as the type B uncertainty.
   MonteCarloTeam* team = nullptr;    ///< Other processes that share the work.
@@ -74,7 +72,7 @@ struct RunUncertainty {
   StudyOutput value;          ///< Its 18 outputs.
   MonteCarloResult type_b;    ///< ABC: errors due to the calibration system.
   MonteCarloResult type_a;    ///< ABC: values, by the paper's section 6. Zero trials: interrupted before.
-  bool acs_measured = false;  ///< Measured system errors entered the type A evaluation.
+  std::string acs_measured;   ///< The record of the stage in the type A evaluation, by SHA-256; empty: none.
   MonteCarloResult combined;  ///< Errors due to the whole budget.
   Budget budget;
   std::vector<GumValidation>

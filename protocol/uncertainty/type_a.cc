@@ -1,12 +1,15 @@
 #include "protocol/uncertainty/type_a.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
-#include <string>
 #include <vector>
 
 #include "protocol/estimators/shared/known_acs_fit.h"
-#include "protocol/model/forward_model.h"
+#include "protocol/linear/symmetric_eigen.h"
+#include "protocol/model/effects.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -14,69 +17,111 @@ namespace abcal {
 
 namespace {
 
-// One reading as the trials need it.
-struct Pose {
-  int experiment = 0;
-  Angle alpha;
-  Angle step_mean, step_error;  // of f_i(n)
+/// Part of an input of the stage at a pose: a coefficient of an unknown of the state.
+struct Term {
+  int input = 0;
+  Eigen::Index place = 0;
+  double coefficient = 0.0;
 };
 
-Angle element(const std::vector<Angle>& list, int n) {
-  const auto index = static_cast<std::size_t>(n - 1);
-  return index < list.size() ? list[index] : Angle();
+/// One reading as the trials need it.
+struct Pose {
+  StagePose stage;
+  std::vector<Term> terms;
+  double step_sd = 0.0;  ///< radian
+};
+
+std::vector<Term> terms_at(const StageState& state, const StagePose& pose) {
+  std::vector<Term> terms;
+  for (const StageEffect& effect : stage_effects()) {
+    for (int i = 0; i < effect.count; ++i) {
+      const Eigen::Index place = state.place_of(unknown_name(effect, i));
+      if (place < 0) continue;
+      const StageShare share = effect.share(pose, i);
+      if (share.value != 0.0) terms.push_back({share.input, place, share.value});
+      if (share.second_value != 0.0) terms.push_back({share.second_input, place, share.second_value});
+    }
+  }
+  return terms;
 }
 
-void check_standard_error(const char* name, double value) {
-  if (!(value >= 0.0 && std::isfinite(value))) {
-    throw std::invalid_argument(std::string("standard error of ") + name + " = " + std::to_string(value) +
-                                ", it must be finite and not negative");
-  }
+Pose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
+  const SinCos alpha = sincos(dwell.alpha);
+  Pose pose{StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), {}, measured.step.rad()};
+  pose.terms = terms_at(measured.state, pose.stage);
+  const Eigen::Index place = measured.state.place_of(visited_angle(dwell.experiment, dwell.alpha));
+  if (place < 0) return pose;
+  pose.terms.push_back({moving_angle_input(dwell.experiment), place, 1.0});
+  pose.step_sd = measured.repeatability.rad();
+  return pose;
+}
+
+/// R with R R' the covariance.
+Eigen::MatrixXd root_of(const Eigen::MatrixXd& covariance) {
+  constexpr double kRounding = 1e-9;
+  if (covariance.size() == 0) return covariance;
+  const SymmetricEigen eigen = symmetric_eigen(covariance);
+  const double largest = eigen.values.maxCoeff(), least = eigen.values.minCoeff();
+  if (!(std::isfinite(largest) && least >= -kRounding * std::max(largest, 0.0)))
+    throw std::invalid_argument(fmt::format(
+        "errors of the stage: the covariance has the eigenvalue {:.3g}; required: none below zero", least));
+  return scaled_columns(eigen.vectors, eigen.values.cwiseMax(0.0).cwiseSqrt());
 }
 
 }  // namespace
 
 MeasuredAcs MeasuredAcs::not_measured(const RunRecord& record) {
   MeasuredAcs measured;
-  const double alignment = sincos(record.tolerances.alignment).sin;
-  measured.standard_error.alignment = {alignment, alignment, alignment};
-  measured.standard_error.d2 = measured.standard_error.d3 = record.tolerances.initial_turn;
-  measured.standard_error.mean_step_x = measured.standard_error.mean_step_z = record.tolerances.zero;
-  for (const DwellRecord& dwell : record.dwells) {
-    if (dwell.closing || dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) continue;
-    std::vector<Angle>& f =
-        measured.standard_error.step_errors[static_cast<std::size_t>(dwell.experiment - 1)];
-    if (f.size() < static_cast<std::size_t>(dwell.n)) f.resize(static_cast<std::size_t>(dwell.n));
-    f[static_cast<std::size_t>(dwell.n - 1)] = record.tolerances.step;
+  measured.step = measured.repeatability = record.tolerances.step;
+  std::vector<double> sd;
+  for (const StageEffect& effect : stage_effects()) {
+    if (effect.face != 1) continue;
+    for (int i = 0; i < effect.count; ++i) {
+      measured.state.names.push_back(unknown_name(effect, i));
+      sd.push_back(effect.prior(record.tolerances));
+    }
   }
+  const auto size = static_cast<Eigen::Index>(sd.size());
+  measured.state.mean = Eigen::VectorXd::Zero(size);
+  measured.state.covariance =
+      Eigen::Map<const Eigen::VectorXd>(sd.data(), size).cwiseAbs2().asDiagonal().toDenseMatrix();
+  return measured;
+}
+
+MeasuredAcs MeasuredAcs::of(const StageRecord& record, double months) {
+  MeasuredAcs measured;
+  measured.state = state_after(record, months);
+  const auto rms_of = [&](RepeatPart part) {
+    return record.repeatabilities[static_cast<std::size_t>(part)].rms;
+  };
+  for (std::size_t i = 0; i < measured.state.names.size(); ++i) {
+    const int part = repeat_part_of(measured.state.names[i]);
+    const auto at = static_cast<Eigen::Index>(i);
+    if (part >= 0) measured.state.covariance(at, at) += std::pow(rms_of(static_cast<RepeatPart>(part)), 2);
+  }
+  measured.repeatability = Angle::radians(rms_of(RepeatPart::kStep));
+  measured.step = record.sizes.step;
   return measured;
 }
 
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
                             const MonteCarloOptions& options) {
-  const AcsErrors& mean = measured.mean;
-  const AcsErrors& error = measured.standard_error;
-  check_standard_error("Zx", error.alignment.zx);
-  check_standard_error("Zy", error.alignment.zy);
-  check_standard_error("Xz", error.alignment.xz);
-  check_standard_error("d2", error.d2.deg());
-  check_standard_error("d3", error.d3.deg());
-  check_standard_error("F_X", error.mean_step_x.deg());
-  check_standard_error("F_Z", error.mean_step_z.deg());
+  const Eigen::MatrixXd root = root_of(measured.state.covariance);
   std::vector<Pose> poses;
   std::vector<Eigen::Vector3d> readings;
   std::vector<double> weights;
   bool weighted = true;
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
-    if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {
-      throw std::invalid_argument(record.source + ": a reading of experiment " +
-                                  std::to_string(dwell.experiment) + ", n = " + std::to_string(dwell.n) +
-                                  " has no place");
-    }
-    const auto i = static_cast<std::size_t>(dwell.experiment - 1);
-    poses.push_back({dwell.experiment, dwell.alpha, element(mean.step_errors[i], dwell.n),
-                     element(error.step_errors[i], dwell.n)});
-    check_standard_error("a step error", poses.back().step_error.deg());
+    if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1)
+      throw std::invalid_argument(fmt::format("{}: a reading of experiment {}, n = {} has no place",
+                                              record.source, dwell.experiment, dwell.n));
+    poses.push_back(pose_of(dwell, measured));
+    if (!(poses.back().step_sd >= 0.0 && std::isfinite(poses.back().step_sd)))
+      throw std::invalid_argument(
+          fmt::format("standard deviation of a step error = {:g} rad; required: finite, "
+                      "not negative",
+                      poses.back().step_sd));
     readings.push_back(dwell.mean);
     weighted = weighted && dwell.u_mean && (dwell.u_mean->array() > 0.0).all();
     if (weighted)
@@ -86,23 +131,17 @@ MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured
 
   const TrialBlock block = [&](std::uint64_t first, std::size_t count, double* out) {
     std::vector<Eigen::Vector3d> gravity(poses.size());
+    Eigen::VectorXd normal(root.cols());
     for (std::size_t t = 0; t < count; ++t) {
       RandomStream stream(seed, StreamPurpose::kTypeA, first + t);
-      AcsErrors acs;
-      acs.alignment.zx = mean.alignment.zx + error.alignment.zx * stream.normal();
-      acs.alignment.zy = mean.alignment.zy + error.alignment.zy * stream.normal();
-      acs.alignment.xz = mean.alignment.xz + error.alignment.xz * stream.normal();
-      acs.d2 = mean.d2 + error.d2 * stream.normal();
-      acs.d3 = mean.d3 + error.d3 * stream.normal();
-      const Angle f_x = mean.mean_step_x + error.mean_step_x * stream.normal();
-      const Angle f_z = mean.mean_step_z + error.mean_step_z * stream.normal();
-      const std::array<GravityCircle, 3> circles = {gravity_circle(1, acs), gravity_circle(2, acs),
-                                                    gravity_circle(3, acs)};
+      for (double& z : normal) z = stream.normal();
+      const Eigen::VectorXd state = measured.state.mean + product_with_vector(root, normal);
       for (std::size_t i = 0; i < poses.size(); ++i) {
         const Pose& pose = poses[i];
-        const Angle f = pose.step_mean + pose.step_error * stream.normal();
-        gravity[i] = circles[static_cast<std::size_t>(pose.experiment - 1)].at(
-            pose.alpha + (pose.experiment == 3 ? f_z : f_x) + f);
+        StageInputs inputs = StageInputs::Zero();
+        for (const Term& term : pose.terms) inputs(term.input) += term.coefficient * state(term.place);
+        inputs(moving_angle_input(pose.stage.experiment)) += pose.step_sd * stream.normal();
+        gravity[i] = gravity_alone(pose.stage, inputs);
       }
       const KnownAcsFit fit = linear_fit_given_acs(gravity, readings, weights);
       const OutputVector values = to_vector(outputs_of(fit.sensitivity_matrix, fit.offset));

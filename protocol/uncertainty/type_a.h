@@ -2,19 +2,25 @@
 
 #include <cstdint>
 
-#include "protocol/model/alignment.h"
 #include "protocol/record/run_record.h"
+#include "protocol/record/stage_record.h"
 #include "protocol/uncertainty/monte_carlo.h"
 
 namespace abcal {
 
-/// Measured properties of the calibration system, for the type A evaluation of the paper's section 6.
+/// The calibration system as the type A evaluation of the paper's section 6 draws it.
 struct MeasuredAcs {
-  AcsErrors mean;            ///< Measured alignment, turn, mean step and step errors.
-  AcsErrors standard_error;  ///< Standard errors of these means, in the same fields.
+  /// Errors of the stage at the time of the run with their covariances, including what differs from run to
+  /// run of its zeros, alignment and initial turns.
+  StageState state;
+  Angle repeatability;  ///< Standard deviation of the step error of a visit from the map of the state.
+  Angle step;           ///< Standard deviation of a step error at an angle that the map does not have.
 
-  /// Nothing measured: means of zero, the tolerances as standard errors.
+  /// Nothing measured: means of zero, the sizes that the run states as standard deviations.
   static MeasuredAcs not_measured(const RunRecord& record);
+  /// As the record of the stage has it.
+  /// @param months  from its last learning to the run
+  static MeasuredAcs of(const StageRecord& record, double months);
 };
 
 /// Type A evaluation (paper, section 6; docs/theory/uncertainty.md): every trial draws the system's errors
@@ -22,8 +28,7 @@ struct MeasuredAcs {
 /// errors. The response is linear in s and O once the errors are given, so a trial is one 4 x 4 solve and no
 /// search. Outputs are the 18 values (not errors); their means and standard deviations are the result and its
 /// type A standard uncertainty due to the system.
-/// @throws std::invalid_argument for standard errors that are negative or not finite; a record without enough
-/// readings
+/// @throws std::invalid_argument a covariance that is not one; a record without enough readings
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
                             const MonteCarloOptions& options);
 

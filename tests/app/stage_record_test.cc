@@ -135,6 +135,20 @@ TEST_F(StageCommands, ARecordIsLearnedUsedAndTested) {
   const ProgramResult uncertainty = abcal({"uncertainty", "kept.run"});
   EXPECT_EQ(uncertainty.exit_code, 2);
   EXPECT_THAT(uncertainty.err, HasSubstr("uses a record of its stage"));
+  // The type A evaluation of the published protocol takes the stage from the record.
+  const auto type_a = [&](std::vector<std::string> run) {
+    run.insert(run.begin(), "uncertainty");
+    for (const char* word : {"--estimator", "abc", "--trials", "2000"}) run.emplace_back(word);
+    return json_of(run).at("cases").at(1);
+  };
+  const Json alone_a = type_a({"new.run"}), kept_a = type_a({"kept.run"});
+  const auto u_vx = [](const Json& study) {
+    return study.at("standard_deviation").at("sensitivity_matrix").at(1).at(2).get<double>();
+  };
+  EXPECT_THAT(kept_a.at("note").get<std::string>(),
+              HasSubstr(with.at("stage_record").at("sha256").get<std::string>()));
+  EXPECT_THAT(alone_a.at("note").get<std::string>(), HasSubstr("Nothing measured"));
+  EXPECT_LT(u_vx(kept_a), 0.5 * u_vx(alone_a));
 }
 
 TEST_F(StageCommands, MountingsAreFoundFromTheRunsAndGiveTheItem) {

@@ -166,40 +166,15 @@ TEST_F(StudyCommands, TolerancesOnTheCommandLineReplaceTheRunsOwn) {
   EXPECT_EQ(abcal({"uncertainty", "run.csv", "--trials", "0"}).exit_code, 2);
 }
 
-TEST_F(StudyCommands, SystemErrorsThatAJointAnalysisMeasuredEnterTheTypeAEvaluation) {
-  test::write_file(folder / "bench.toml",
-                   "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"simulated\"\nport = "
-                   "\"simulated\"\n[accelerometer]\ndriver = "
-                   "\"simulated\"\nport = \"simulated\"\nrate_hz = 200.0\n[protocol]\ncheck_poses = "
-                   "false\nsteps = 24\nstep_deg = "
-                   "15.0\nsettle_s = "
-                   "0.05\ndwell_readings = 20\n[simulation]\nnoise = 1e-5\nxz = 2e-4\n");
-  const ProgramResult run = abcal({"run", "bench.toml", "-o", "a.run"});
-  ASSERT_EQ(run.exit_code, 0) << run.err;
-  const ProgramResult joint = abcal({"analyse", "a.run", "--estimator", "joint", "--json"});
-  ASSERT_EQ(joint.exit_code, 0) << joint.err;
-  test::write_file(folder / "acs.json", joint.out);
-  const Json without = json_of({"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000"});
-  const Json with = json_of(
-      {"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000", "--measured-acs", "acs.json"});
-  const auto u = [](const Json& study) {  // type A of s_uy
-    return study.at("cases")
-        .at(1)
-        .at("standard_deviation")
-        .at("sensitivity_matrix")
-        .at(0)
-        .at(1)
-        .get<double>();
-  };
-  // s_uy depends on Xz, which the joint analysis measures well where the tolerance is 1.4e-4; the wobble of
-  // 50 urad by default stays in what it measures.
-  EXPECT_LT(u(with), 0.4 * u(without));
-
-  test::write_file(folder / "abc.json", abcal({"analyse", "a.run", "--estimator", "abc", "--json"}).out);
-  const ProgramResult wrong =
-      abcal({"uncertainty", "a.run", "--estimator", "abc", "--trials", "2000", "--measured-acs", "abc.json"});
-  EXPECT_EQ(wrong.exit_code, 2);
-  EXPECT_THAT(wrong.err, AllOf(HasSubstr("abc.json"), HasSubstr("not the JSON of a joint analysis")));
+TEST_F(StudyCommands, StepErrorsOfOneRunAreNoRecordOfAStage) {
+  test::write_file(folder / "acs.json", abcal({"analyse", "run.csv", "--estimator", "joint", "--json"}).out);
+  for (const char* option : {"--measured-acs", "--stage-record"}) {
+    const ProgramResult old =
+        abcal({"uncertainty", "run.csv", "--estimator", "abc", "--trials", "2000", option, "acs.json"});
+    EXPECT_EQ(old.exit_code, 2);
+    EXPECT_THAT(old.err, AllOf(HasSubstr("acs.json"), HasSubstr("without their covariances"),
+                               HasSubstr("abcal stage learn")));
+  }
 }
 
 // A run answers for the estimator that it declared: the number that a user reads after `analyse` is the one

@@ -3,20 +3,22 @@
 #include <fmt/format.h>
 
 #include <cstdlib>
-#include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "app/faces/commands/simulate.h"
+#include "app/ground/bench_file/stage_record_file.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/progress.h"
+#include "app/ground/system/read_file.h"
 #include "app/ground/system/real_clock.h"
 #include "app/results/estimates/analyses.h"
 #include "app/results/estimates/estimators.h"
 #include "app/results/estimates/load_record.h"
+#include "app/results/estimates/stage_record_use.h"
 #include "app/studies/study/study_json.h"
 #include "app/studies/study/study_text.h"
 #include "protocol/uncertainty/run_uncertainty.h"
@@ -24,30 +26,8 @@
 namespace abcal {
 namespace {
 
-struct Measured {
-  double value = 0.0, standard_error = 0.0;
-};
-
-Measured measured(const nlohmann::json& quantity) {
-  // A step that was not measured is null: the joint fit left it out.
-  if (quantity.at("value").is_null()) return {};
-  return {quantity.at("value").get<double>(), quantity.at("standard_uncertainty").get<double>()};
-}
-
-void set_measured(const nlohmann::json& quantity, double& mean, double& error) {
-  const Measured m = measured(quantity);
-  mean = m.value;
-  error = m.standard_error;
-}
-
-void set_measured(const nlohmann::json& quantity, Angle& mean, Angle& error) {
-  const Measured m = measured(quantity);
-  mean = Angle::degrees(m.value);
-  error = Angle::degrees(m.standard_error);
-}
-
 struct Options {
-  std::string file, estimator, preset, measured;
+  std::string file, estimator, preset, stage_record;
   std::optional<std::int64_t> trials;
   std::optional<int> digits;
   std::int64_t seed = 1;
@@ -75,7 +55,7 @@ const Estimator& estimator_of(const Options& options, const RunRecord& record) {
   };
   only_of_abc(options.resolution.has_value(), "--resolution");
   only_of_abc(!options.preset.empty(), "--preset");
-  only_of_abc(!options.measured.empty(), "--measured-acs");
+  only_of_abc(!options.stage_record.empty(), "--stage-record");
   return estimator;
 }
 
@@ -105,8 +85,33 @@ RunUncertainty study_of_common_fit(std::vector<StoredRun> items, const Options& 
   throw std::invalid_argument(fmt::format("{} has no item {}", options.file, item));
 }
 
+/// The record of the stage that an option names.
+StageRecord stage_record_of(const std::string& file) {
+  const std::string text = read_file(file);
+  const nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
+  if (json.is_object() && json.contains("step_error"))
+    throw std::invalid_argument(fmt::format(
+        "{}: is the JSON of a joint analysis. Its step errors are of one run and without their covariances, "
+        "and "
+        "an uncertainty from them is three times too small; required: the record of a stage (`abcal stage "
+        "learn`)",
+        file));
+  return parse_stage_record(text, file);
+}
+
+/// The readings of the item, with the record of its stage: the one that is asked for, else the run's own.
+RunRecord run_of(const Options& options) {
+  if (options.stage_record.empty()) return load_record(options.file, options.item).record;
+  const NamedItem named = named_item(options.file);
+  std::vector<StoredRun> items = load_items(named.file);
+  use_stage_record(items, std::make_shared<const StageRecord>(stage_record_of(options.stage_record)),
+                   named.file);
+  const int item = chosen_item(named.file, options.item != 0 ? options.item : named.item);
+  return items.at(static_cast<std::size_t>(item) - 1).record;
+}
+
 RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
-  RunRecord record = load_record(options.file, options.item).record;
+  RunRecord record = run_of(options);
   const bool joint = estimator_of(options, record).fit == nullptr;
   UncertaintyOptions uncertainty;
   if (joint) uncertainty.trials = kJointTrials;
@@ -119,7 +124,6 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
   uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
   uncertainty.resolution = options.resolution;
   uncertainty.paper_preset = options.preset == "paper";
-  if (!options.measured.empty()) uncertainty.measured = read_measured_acs(options.measured);
   override_sizes(options, record.tolerances);
   if (joint) {
     if (record.stage_record.record)
@@ -157,34 +161,6 @@ void print(const RunUncertainty& study, bool json) {
 }
 
 }  // namespace
-
-MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
-  std::ifstream file(path);
-  if (!file)
-    throw std::invalid_argument(fmt::format("measured system errors: {} cannot be read", path.string()));
-  MeasuredAcs acs;
-  try {
-    const nlohmann::json json = nlohmann::json::parse(file);
-    const nlohmann::json& alignment = json.at("alignment");
-    set_measured(alignment.at(0), acs.mean.alignment.zx, acs.standard_error.alignment.zx);
-    set_measured(alignment.at(1), acs.mean.alignment.zy, acs.standard_error.alignment.zy);
-    set_measured(alignment.at(2), acs.mean.alignment.xz, acs.standard_error.alignment.xz);
-    set_measured(json.at("initial_turn_error").at(0), acs.mean.d2, acs.standard_error.d2);
-    set_measured(json.at("initial_turn_error").at(1), acs.mean.d3, acs.standard_error.d3);
-    set_measured(json.at("mean_step_error").at(0), acs.mean.mean_step_x, acs.standard_error.mean_step_x);
-    set_measured(json.at("mean_step_error").at(1), acs.mean.mean_step_z, acs.standard_error.mean_step_z);
-    for (std::size_t i = 0; i < 3; ++i) {
-      for (const nlohmann::json& step : json.at("step_error").at(i)) {
-        set_measured(step, acs.mean.step_errors[i].emplace_back(),
-                     acs.standard_error.step_errors[i].emplace_back());
-      }
-    }
-  } catch (const nlohmann::json::exception& error) {
-    throw std::invalid_argument(fmt::format(
-        "measured system errors: {} is not the JSON of a joint analysis: {}", path.string(), error.what()));
-  }
-  return acs;
-}
 
 StudyProcesses one_process() {
   const auto join = []() -> std::unique_ptr<MonteCarloTeam> {
@@ -229,8 +205,10 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
       ->add_option("--preset", options->preset,
                    "abc; paper: the bounds of Geist & Gaitan 2021, section 5, as type B")
       ->check(CLI::IsMember({"paper"}));
-  command->add_option("--measured-acs", options->measured,
-                      "abc: JSON of a joint analysis: measured system errors for the type A evaluation");
+  command->add_option(
+      "--stage-record,--measured-acs", options->stage_record,
+      "abc: record of the stage (`abcal stage learn`), for the type A evaluation (default: the "
+      "record that the run keeps)");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
   command->callback([options, processes = std::move(processes), &exit_code] {
     const std::unique_ptr<MonteCarloTeam> team = processes.join();

@@ -26,11 +26,4 @@ StudyProcesses one_process();
 /// another with `--estimator`. Bad options throw std::invalid_argument.
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes);
 
-/// Measured errors of the calibration system from the JSON of a joint analysis (`abcal analyse RUN
-/// --estimator joint
-/// --json`): alignment, initial_turn_error, mean_step_error and step_error, each with value and
-/// standard_uncertainty.
-/// @throws std::invalid_argument naming the problem of the file
-MeasuredAcs read_measured_acs(const std::filesystem::path& path);
-
 }  // namespace abcal

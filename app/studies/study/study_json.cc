@@ -241,8 +241,9 @@ nlohmann::ordered_json study_json(const RunUncertainty& study) {
   } else {
     add_case("type B, calibration system", "error", study.type_b, "");
     add_case("type A, paper, section 6", "value", study.type_a,
-             study.acs_measured ? "Measured errors of the calibration system."
-                                : "Nothing measured: means of zero, the tolerances as standard errors.");
+             study.acs_measured.empty()
+                 ? "Nothing measured: means of zero, the stated sizes as standard deviations."
+                 : fmt::format("Errors of the stage by its record, SHA-256 {}.", study.acs_measured));
     add_case("combined, whole budget", "error", study.combined, "");
   }
   if (!study.no_trials.empty()) json["no_trials"] = study.no_trials;

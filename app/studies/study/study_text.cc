@@ -336,7 +336,9 @@ std::string study_text(const RunUncertainty& study) {
   text += note_lines(study.combined.note, "  ");
 
   text += "\nType A evaluation (paper, section 6): s and O fitted with the system's errors drawn around ";
-  text += study.acs_measured ? "their measured means\n" : "zero (nothing measured), by their tolerances\n";
+  text += study.acs_measured.empty() ? "zero (nothing measured), by their stated sizes\n"
+                                     : fmt::format("those in the record of the stage (SHA-256 {})\n",
+                                                   study.acs_measured.substr(0, 12));
   if (study.type_a.trials >= 2) {
     for (const int first : {0, 3, 6, 9, 12, 15}) {
       text += " ";

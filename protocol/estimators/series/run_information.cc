@@ -8,15 +8,6 @@
 #include "protocol/estimators/shared/reading_kernels.h"
 
 namespace abcal {
-namespace {
-
-AxisAngle axis_angle_of(const DwellRecord& dwell) {
-  constexpr std::int64_t kTurn = 360'000'000;
-  const std::int64_t angle = std::llround(dwell.alpha.deg() * 1e6) % kTurn;
-  return {dwell.experiment == 3 ? 'Z' : 'X', angle < 0 ? angle + kTurn : angle};
-}
-
-}  // namespace
 
 Eigen::Matrix3d RunInformation::rows() const {
   Eigen::Matrix3d out;
@@ -49,7 +40,7 @@ RunInformation run_information(const CollectedReadings& data, const EffectSoluti
   for (Eigen::Index n = 0; n < visits; ++n) {
     const auto at = static_cast<std::size_t>(n);
     const DwellRecord& dwell = *data.dwells[at];
-    out.visits.push_back(axis_angle_of(dwell));
+    out.visits.push_back(visited_angle(dwell.experiment, dwell.alpha));
     const double factor = model.step_factor(at);
     out.at(unknowns + n) = factor * model.steps()[at];
     rows.block<3, 1>(3 * n, unknowns + n) = model.by_step(at) / factor;

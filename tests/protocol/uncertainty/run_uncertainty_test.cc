@@ -9,6 +9,7 @@
 
 #include "protocol/estimators/circle/analyse.h"
 #include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/model/effects.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b.h"
@@ -207,7 +208,10 @@ TEST(RunUncertaintyTest, TypeAWithMeasuredErrorsFindsTheTruthThatPlainAbcMisses)
   const RunRecord record = simulated_record(table_2_accelerometer(), errors, 0.0);
   const OutputVector truth = to_vector(true_outputs(table_2_accelerometer(), errors.alignment));
   MeasuredAcs measured;
-  measured.mean = errors;
+  measured.state.names = {"Zx", "Zy", "Xz", "d2", "F_X"};
+  measured.state.mean.resize(5);
+  measured.state.mean << 2e-4, -1e-4, 3e-4, errors.d2.rad(), errors.mean_step_x.rad();
+  measured.state.covariance = Eigen::MatrixXd::Zero(5, 5);
   MonteCarloOptions options;
   options.trials = 200;
   const MonteCarloResult exact = run_type_a(record, measured, 1, options);
@@ -217,13 +221,70 @@ TEST(RunUncertaintyTest, TypeAWithMeasuredErrorsFindsTheTruthThatPlainAbcMisses)
   }
   const MonteCarloResult blind = run_type_a(record, {}, 1, options);
   EXPECT_GT((blind.mean - truth).cwiseAbs().maxCoeff(), 1e-4);
-  // Standard errors spread the result in proportion.
-  measured.standard_error.alignment = {1e-5, 1e-5, 1e-5};
+  // Uncertainties of the means spread the result in proportion.
+  measured.state.covariance.topLeftCorner<3, 3>() = 1e-10 * Eigen::Matrix3d::Identity();
   const MonteCarloResult spread = run_type_a(record, measured, 1, options);
   EXPECT_GT(spread.standard_deviation(2), 1e-6);
   EXPECT_LT(spread.standard_deviation(2), 1e-4);
-  measured.standard_error.alignment.zx = -1.0;
+  measured.state.covariance(0, 0) = -1e-10;
   EXPECT_THROW(run_type_a(record, measured, 1, options), std::invalid_argument);
+}
+
+// Stages drawn from the covariance that the evaluation is told, all effects of the stage among them.
+TEST(RunUncertaintyTest, TypeACoversStagesThatItsCovarianceDescribes) {
+  RunRecord record = simulated_record(table_2_accelerometer(), {}, 0.0, 24);
+  MeasuredAcs measured = MeasuredAcs::not_measured(record);
+  measured.state.angles = {{'X', 90'000'000}};
+  const auto size = static_cast<Eigen::Index>(measured.state.names.size());
+  measured.state.mean = Eigen::VectorXd::Zero(size + 1);
+  measured.state.covariance.conservativeResizeLike(Eigen::MatrixXd::Zero(size + 1, size + 1));
+  measured.state.covariance(size, size) = 1e-8;
+  // Two wobbles that are known together only: their sum is zero.
+  const Eigen::Index one = measured.state.place_of("wobble of X, sin 1/rev, direction 1");
+  const Eigen::Index other = measured.state.place_of("wobble of X, sin 1/rev, direction 2");
+  ASSERT_GE(one, 0);
+  ASSERT_GE(other, 0);
+  measured.state.covariance(one, other) = measured.state.covariance(other, one) =
+      -measured.state.covariance(one, one);
+  RandomStream draw(5, StreamPurpose::kTest, 3);
+  MonteCarloOptions options;
+  options.trials = 300;
+  const AccelerometerUnderTest truth = table_2_accelerometer();
+  const OutputVector true_values = to_vector(outputs_of(truth.sensitivity_matrix, truth.offset));
+  OutputVector z2 = OutputVector::Zero();
+  constexpr int kStages = 40;
+  for (int stage = 0; stage < kStages; ++stage) {
+    Eigen::VectorXd q(size + 1);
+    for (Eigen::Index i = 0; i <= size; ++i)
+      q(i) = std::sqrt(measured.state.covariance(i, i)) * draw.normal();
+    q(other) = -q(one);
+    for (DwellRecord& dwell : record.dwells) {
+      const SinCos alpha = sincos(dwell.alpha);
+      const StagePose pose = StagePose::of(dwell.experiment, 1, alpha.sin, alpha.cos);
+      StageInputs inputs = StageInputs::Zero();
+      Eigen::Index at = 0;
+      for (const StageEffect& effect : stage_effects()) {
+        if (effect.face != 1) continue;
+        for (int i = 0; i < effect.count; ++i, ++at) {
+          const StageShare share = effect.share(pose, i);
+          inputs(share.input) += share.value * q(at);
+          inputs(share.second_input) += share.second_value * q(at);
+        }
+      }
+      const int moving = moving_angle_input(dwell.experiment);
+      const bool is_in_map = dwell.experiment != 3 && std::abs(dwell.alpha.deg() - 90.0) < 1e-6;
+      inputs(moving) += is_in_map ? q(size) : record.tolerances.step.rad() * draw.normal();
+      if (is_in_map) inputs(moving) += record.tolerances.step.rad() * draw.normal();
+      dwell.mean = truth.sensitivity_matrix * gravity_alone(pose, inputs) + truth.offset;
+    }
+    const MonteCarloResult result = run_type_a(record, measured, 1, options);
+    z2 += ((result.mean - true_values).array() / result.standard_deviation.array()).square().matrix();
+  }
+  // A mean of 40 squares of normal numbers is 1 within 0.22 (standard deviation).
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    EXPECT_GT(z2(k) / kStages, 0.35) << output_symbol(k);
+    EXPECT_LT(z2(k) / kStages, 1.9) << output_symbol(k);
+  }
 }
 
 TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
