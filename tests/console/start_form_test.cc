@@ -12,6 +12,7 @@
 
 #include "app/faces/console/request.h"
 #include "app/faces/console/run_choice.h"
+#include "app/ground/bench_file/stage_record_file.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
@@ -66,6 +67,34 @@ TEST_F(StartFormTest, ShowsWhatWouldBeStarted) {
   EXPECT_GT(checked["last_check"]["good"].get<int>(), 3);
   EXPECT_EQ(checked["last_check"]["problems"], 0);
   EXPECT_THAT(lines(checked["warnings"]), Not(Contains(HasSubstr("has not been checked"))));
+}
+
+TEST_F(StartFormTest, ShowsTheAgeAndHealthOfTheRecordOfTheStage) {
+  StageRecord record;
+  record.state.names = {"Zx", "Zy", "Xz"};
+  record.state.mean = Eigen::VectorXd::Zero(3);
+  record.state.covariance = 1e-8 * Eigen::MatrixXd::Identity(3, 3);
+  record.repeatabilities = stated_repeatabilities(record.sizes);
+  record.growth = half_normal(0.1);
+  record.learnings = {
+      {.utc = "2021-03-01T12:00:00Z", .by = "", .runs = {{"a.run", std::string(64, 'a'), "", ""}}}};
+  write_stage_record(folder / "old.stage", record);
+  bench.protocol += "estimator = \"joint\"\n";
+  bench.stage_port += "\"\nrecord = \"" + (folder / "old.stage").string();  // A further key of [stage].
+  open();
+  const Json shown = form();
+  const Json& old = shown["stage_record"];
+  EXPECT_EQ(old["learned_utc"], "2021-03-01T12:00:00Z");
+  EXPECT_GT(old["age_months"].get<double>(), old["validity_months"].get<double>());
+  EXPECT_TRUE(old["last_run"].is_null());
+  EXPECT_THAT(lines(shown["warnings"]), Contains(HasSubstr("learn the stage again")));
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(start_of(shown)));
+  const Json ended = page->wait_for_type("finished");
+  ASSERT_TRUE(ended["complete"].get<bool>()) << ended;
+  const Json after = form()["stage_record"]["last_run"];
+  EXPECT_EQ(after["name"], ended["file"]);
+  EXPECT_TRUE(after["agrees"].get<bool>());
 }
 
 TEST_F(StartFormTest, PredictsLessUncertaintyOfMoreReadings) {

@@ -15,6 +15,7 @@
 #include "app/faces/console/last_check.h"
 #include "app/ground/bench_file/bench_records.h"
 #include "app/ground/bench_file/not_real.h"
+#include "app/ground/bench_file/stage_record_file.h"
 #include "app/ground/system/read_file.h"
 #include "app/laboratory/register/register.h"
 #include "app/laboratory/register/register_lookup.h"
@@ -100,6 +101,7 @@ class Form {
     add_operator(config);
     add_plan(config);
     add_check();
+    add_stage_record(config);
     if (const auto run = find_interrupted_run(asked_.runs))
       warn(fmt::format("Run {} was interrupted: {} of {} angles are measured. It can be resumed instead.",
                        run->file, run->measured, run->planned));
@@ -245,6 +247,45 @@ class Form {
       warn(fmt::format("The last check of this bench found {} problems.", check->problems));
     if (check->utc < format_utc(now_ - kCheckHolds))
       warn(fmt::format("The last check of this bench is older than {} h.", kCheckHolds.count()));
+  }
+
+  /// The record of the stage: its age, how long it is good for, and whether the last run agreed with it.
+  void add_stage_record(const BenchConfig& config) {
+    json_["stage_record"] = nullptr;
+    if (config.stage.record.empty()) return;
+    const StageRecord record = read_stage_record(config.stage.record);
+    const double age = months_between(record.learned_utc(), format_utc(now_));
+    const double validity = validity_months(record);
+    Json& shown = json_["stage_record"] = {
+        {"file", config.stage.record}, {"learned_utc", record.learned_utc()}, {"runs", record.runs()},
+        {"age_months", age},           {"validity_months", validity},         {"last_run", nullptr}};
+    if (age > validity)
+      warn(fmt::format(
+          "The record of the stage is {:.1f} months old and good for {:.1f}: learn the stage again "
+          "(abcal stage learn).",
+          age, validity));
+    const std::optional<Json> last = last_test(config, record.sha256);
+    if (!last) return;
+    shown["last_run"] = *last;
+    if (!last->at("agrees"))
+      warn(fmt::format(
+          "Run {} contradicts the record of the stage: learn the stage again (abcal stage learn).",
+          last->at("name").get<std::string>()));
+  }
+
+  /// What the newest complete run on this bench with this record said of it.
+  std::optional<Json> last_test(const BenchConfig& config, const std::string& sha256) {
+    for (const Json& run : library_.list()) {
+      if (run.value("state", "") != "complete" || run.value("bench", "") != config.name) continue;
+      const auto name = run.at("name").get<std::string>();
+      const Json analysed = library_.result(asked_.runs / name, 0);
+      for (const Json& result : analysed.at("results"))
+        if (const auto used = result.find("stage_record");
+            used != result.end() && used->at("sha256") == sha256)
+          return Json{{"name", name}, {"created_utc", run.at("created_utc")}, {"agrees", used->at("agrees")}};
+      return std::nullopt;  // It did not use this record: nothing is known of it.
+    }
+    return std::nullopt;
   }
 
   const StartFormAsked& asked_;

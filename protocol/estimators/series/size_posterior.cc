@@ -33,33 +33,41 @@ Densities::const_iterator mode_of(const Densities& densities) {
   return std::ranges::max_element(densities, {}, &Densities::value_type::second);
 }
 
-/// Integrals of a density whose logarithm is linear in that of the size between the given ones.
+/// Sizes with their probabilities, by a density whose logarithm is linear in that of the size between the
+/// given ones.
+std::vector<ProbableSize> list_of(const Densities& densities, int parts) {
+  const auto mode = mode_of(densities);
+  std::vector<ProbableSize> out;
+  double total = 0.0;
+  for (auto next = std::next(densities.begin()); next != densities.end(); ++next) {
+    const auto before = std::prev(next);
+    const double width = std::log(next->first / before->first) / parts;
+    for (int i = 0; i < parts; ++i) {
+      const double share = (i + 0.5) / parts;
+      const double p =
+          width * std::exp(before->second + share * (next->second - before->second) - mode->second);
+      out.push_back({before->first * std::pow(next->first / before->first, share), p});
+      total += p;
+    }
+  }
+  for (ProbableSize& one : out) one.probability /= total;
+  return out;
+}
+
 SizeFound integrated(const Densities& densities) {
   constexpr int kParts = 32;
   const auto mode = mode_of(densities);
-  std::vector<std::pair<double, double>> mass;  // size, probability
-  double total = 0.0, square = 0.0;
-  for (auto next = std::next(densities.begin()); next != densities.end(); ++next) {
-    const auto before = std::prev(next);
-    const double width = std::log(next->first / before->first) / kParts;
-    for (int i = 0; i < kParts; ++i) {
-      const double share = (i + 0.5) / kParts;
-      const double size = before->first * std::pow(next->first / before->first, share);
-      const double p =
-          width * std::exp(before->second + share * (next->second - before->second) - mode->second);
-      mass.emplace_back(size, p);
-      total += p;
-      square += p * size * size;
-    }
-  }
+  const std::vector<ProbableSize> list = list_of(densities, kParts);
+  double square = 0.0;
+  for (const auto& [size, p] : list) square += p * size * size;
   SizeFound out;
   out.most_probable = mode->first;
-  out.rms = std::sqrt(square / total);
+  out.rms = std::sqrt(square);
   const auto quantile = [&](double probability) {
     double sum = 0.0;
-    for (const auto& [size, p] : mass)
-      if ((sum += p) >= probability * total) return size;
-    return mass.back().first;
+    for (const auto& [size, p] : list)
+      if ((sum += p) >= probability) return size;
+    return list.back().size;
   };
   out.lower = quantile(0.025);
   out.upper = quantile(0.975);
@@ -89,6 +97,17 @@ SizeFound size_posterior(double scale, const SizeFound& before,
     for (const double size : between) add(size);
   }
   return integrated(densities);
+}
+
+std::vector<ProbableSize> probable_sizes(const SizeFound& size) {
+  constexpr int kParts = 4;
+  Densities densities;
+  for (const auto& [at, log] : size.log_density) densities[at] = log;
+  if (densities.empty() && size.rms > 0.0)
+    for (const double share : {0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0})
+      densities[share * size.rms] = log_density_before(size, share * size.rms);
+  if (densities.size() < 2) return {{size.rms, 1.0}};
+  return list_of(densities, kParts);
 }
 
 }  // namespace abcal

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <vector>
 
 #include "protocol/record/stage_record.h"
 
@@ -12,5 +13,14 @@ namespace abcal {
 /// @param log_likelihood  of the readings, given the size
 SizeFound size_posterior(double scale, const SizeFound& before,
                          const std::function<double(double)>& log_likelihood);
+
+/// A size with its probability.
+struct ProbableSize {
+  double size = 0.0;
+  double probability = 0.0;
+};
+
+/// The distribution of a size as a list; the probabilities add up to 1.
+std::vector<ProbableSize> probable_sizes(const SizeFound& size);
 
 }  // namespace abcal

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "protocol/estimators/series/size_posterior.h"
+#include "protocol/linear/cholesky.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/statistics/distributions.h"
@@ -51,7 +52,8 @@ std::string part_of(const RunInformation& run, Eigen::Index q) {
 
 /// The unknowns of the stage in a run as a record predicts them.
 struct Prediction {
-  std::vector<Eigen::Index> q;  ///< Places of those that the record knows.
+  std::vector<Eigen::Index> q;   ///< Places of those that the record knows.
+  std::vector<int> repeat_part;  ///< Of each, as repeat_part_of() has it.
   Eigen::VectorXd mean;
   Eigen::MatrixXd covariance;
 };
@@ -72,6 +74,7 @@ Prediction predicted(const RunInformation& run, const StageState& before,
     out.q.push_back(q);
     known.push_back(place);
     const int part = is_visit ? static_cast<int>(RepeatPart::kStep) : repeat_part_of(name);
+    out.repeat_part.push_back(part);
     repeat.push_back(part < 0 ? 0.0 : repeatabilities[static_cast<std::size_t>(part)].rms);
   }
   const auto count = static_cast<Eigen::Index>(known.size());
@@ -87,26 +90,52 @@ Prediction predicted(const RunInformation& run, const StageState& before,
   return out;
 }
 
-/// Differences d with the prior covariance P and the posterior one Q: d' (P - Q)^+ d.
+/// How the covariance of a difference depends on a size of what the stage does not repeat: by
+/// (size^2 - size_0^2) `by_variance`, size_0 the one that the covariances have.
+struct UncertainSize {
+  Eigen::MatrixXd by_variance;
+  double rms = 0.0;  ///< size_0
+  std::vector<ProbableSize> sizes;
+};
+
+/// Differences d with the prior covariance P and the posterior one Q: d' (P - Q)^+ d. Where a size is
+/// uncertain, the probability is the mean over its distribution, as Student's t is for a variance from few
+/// values.
 EffectTest test_part(const std::string& name, const Eigen::VectorXd& difference, const Eigen::MatrixXd& prior,
-                     const Eigen::MatrixXd& posterior) {
+                     const Eigen::MatrixXd& posterior, const UncertainSize& uncertain = {}) {
   EffectTest test;
   test.name = name;
   test.key = "record";
   const Eigen::VectorXd scale = prior.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::VectorXd relative = scale.cwiseProduct(difference);
   const SymmetricEigen eigen =
       generalized_eigen(scaled_on_both_sides(prior - posterior, scale), scaled_on_both_sides(prior, scale));
-  for (Eigen::Index i = 0; i < relative.size(); ++i) {
-    if (eigen.values(i) < kInformative) continue;
-    // The vectors v have v' P v = 1.
-    const double along = eigen.vectors.col(i).dot(relative);
-    test.chi2 += along * along / eigen.values(i);
-    ++test.degrees_of_freedom;
+  std::vector<Eigen::Index> shown;
+  for (Eigen::Index i = 0; i < difference.size(); ++i)
+    if (eigen.values(i) >= kInformative) shown.push_back(i);
+  const auto count = static_cast<Eigen::Index>(shown.size());
+  test.degrees_of_freedom = static_cast<int>(count);
+  if (count == 0) return test;
+  // Rows of `whiten` times d have the variance 1: the vectors v have v' P v = 1 in the scaled unknowns.
+  Eigen::MatrixXd whiten(count, difference.size());
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const Eigen::Index at = shown[static_cast<std::size_t>(i)];
+    whiten.row(i) = eigen.vectors.col(at).cwiseProduct(scale).transpose() / std::sqrt(eigen.values(at));
   }
-  if (test.degrees_of_freedom == 0) return test;
+  Eigen::VectorXd z = product_with_vector(whiten, difference);
+  test.chi2 = z.squaredNorm();
   test.times_stated = std::sqrt(test.chi2 / test.degrees_of_freedom);
   test.probability = chi2_tail(test.chi2, test.degrees_of_freedom);
+  if (uncertain.sizes.size() < 2) return test;
+  const SymmetricEigen by_size = symmetric_eigen(carried_covariance(whiten, uncertain.by_variance));
+  z = transposed_product_with_vector(by_size.vectors, z);
+  test.probability = 0.0;
+  for (const ProbableSize& one : uncertain.sizes) {
+    constexpr double kLeastVariance = 1e-6;  // What the readings and the state leave is more.
+    const double more = one.size * one.size - uncertain.rms * uncertain.rms;
+    const double chi2 =
+        (z.array().square() / (1.0 + more * by_size.values.array()).max(kLeastVariance)).sum();
+    test.probability += one.probability * chi2_tail(chi2, test.degrees_of_freedom);
+  }
   return test;
 }
 
@@ -147,6 +176,14 @@ std::vector<EffectTest> test_state(const RunInformation& run, const SeriesRunRes
   const Prediction record = predicted(run, before, repeatabilities);
   std::vector<EffectTest> out;
   std::vector<std::string> parts;
+  // The shift of the unknowns is A times the error of their prediction, and noise: A = I - Q P^-1.
+  const Eigen::VectorXd scale = record.covariance.diagonal().cwiseSqrt().cwiseInverse();
+  const Cholesky prior(scaled_on_both_sides(record.covariance, scale));
+  Eigen::MatrixXd follows;
+  if (prior.positive_definite())
+    follows = Eigen::MatrixXd::Identity(scale.size(), scale.size()) -
+              scaled_columns(
+                  prior.solve(scaled_rows(scale, block_of(found.covariance, record.q))).transpose(), scale);
   for (const Eigen::Index q : record.q)
     if (const std::string part = part_of(run, q); std::ranges::find(parts, part) == parts.end())
       parts.push_back(part);
@@ -163,8 +200,18 @@ std::vector<EffectTest> test_state(const RunInformation& run, const SeriesRunRes
       difference(static_cast<Eigen::Index>(i)) =
           found.value(places[i]) - record.mean(static_cast<Eigen::Index>(of_part[i]));
     std::vector<Eigen::Index> own(of_part.begin(), of_part.end());
-    out.push_back(
-        test_part(part, difference, block_of(record.covariance, own), block_of(found.covariance, places)));
+    UncertainSize uncertain;
+    if (const int repeats = record.repeat_part[of_part.front()]; repeats >= 0 && follows.size() > 0) {
+      const SizeFound& size = repeatabilities[static_cast<std::size_t>(repeats)];
+      Eigen::MatrixXd by_error = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(own.size()), scale.size());
+      for (std::size_t i = 0; i < own.size(); ++i)
+        for (Eigen::Index k = 0; k < scale.size(); ++k)
+          if (record.repeat_part[static_cast<std::size_t>(k)] == repeats)
+            by_error(static_cast<Eigen::Index>(i), k) = follows(own[i], k);
+      uncertain = {covariance_of_root(by_error), size.rms, probable_sizes(size)};
+    }
+    out.push_back(test_part(part, difference, block_of(record.covariance, own),
+                            block_of(found.covariance, places), uncertain));
   }
   return out;
 }

@@ -127,6 +127,8 @@ export default {
   'The noise of a reading is not known from run {}: {}': 'Das Rauschen einer Ablesung ist aus dem Lauf {} nicht bekannt: {}',
   'This bench has not been checked from the console yet.': 'Dieser Messplatz wurde von hier aus noch nicht geprüft.',
   'The last check of this bench found {} problems.': 'Die letzte Prüfung dieses Messplatzes fand {} Probleme.',
+  'The record of the stage is {} months old and good for {}: learn the stage again (abcal stage learn).': 'Der Datensatz des Drehtisches ist {} Monate alt und für {} gut: den Drehtisch neu einmessen (abcal stage learn).',
+  'Run {} contradicts the record of the stage: learn the stage again (abcal stage learn).': 'Lauf {} widerspricht dem Datensatz des Drehtisches: den Drehtisch neu einmessen (abcal stage learn).',
   'The last check of this bench is older than {} h.': 'Die letzte Prüfung dieses Messplatzes ist älter als {} h.',
   'The bench file requires an accelerometer of serial number {}, which is another item: not required of this one.': 'Die Messplatzdatei verlangt einen Aufnehmer mit der Seriennummer {}, das ist ein anderer Prüfling: Von diesem wird sie nicht verlangt.',
   'The bench file describes model {}, the item is {}: its range, filter, firmware, supply and nominal sensitivity are not stated. Check what is set on the instrument.': 'Die Messplatzdatei beschreibt das Modell {}, der Prüfling ist {}: Sein Messbereich, Filter, Firmware, Versorgung und nomineller Übertragungskoeffizient sind nicht angegeben. Prüfen, was am Gerät eingestellt ist.',

@@ -154,6 +154,7 @@ export async function showRun(name, item, {again = false} = {}) {
     verdict(reported, run),
     downloads(data.downloads, run, run.items.length > 1 ? data.item : 0),
     card(t('Checks of the result'), checks(reported, data.meanings)),
+    ...(reported.stage_record ? [card(t('Record of the stage'), stageRecord(reported.stage_record))] : []),
     ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
     ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
     card(t('Estimators side by side'), estimators(results)),
@@ -191,6 +192,18 @@ function checks(result, meanings) {
     all.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
       element('span', {}, said(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
   made.id = 'result-checks';
+  return made;
+}
+
+// Age and health of the record from which the result takes the stage: the parts of the stage that this run tested.
+function stageRecord(record) {
+  const outcome = (passed) => element('span', {class: passed ? 'grade-good' : 'grade-problem'}, passed ? t('agrees') : t('CONTRADICTS'));
+  const figure = (value, words) => (value === null ? DASH : words(value));
+  const made = scrollable('stack scroll-x', t('Record of the stage'), table(
+    t`${record.stage}: learned ${day(record.learned_utc)} from ${record.runs} runs; ${record.age_months.toFixed(1)} months old, good for ${record.validity_months.toFixed(1)}.`,
+    [t('Part of the stage'), t('Outcome'), t('Times what the record expects'), t('Probability')],
+    record.tests.map((one) => [said(one.part), outcome(one.passed), figure(one.times_expected, (x) => x.toFixed(2)), figure(one.probability, (p) => p.toPrecision(2))])));
+  made.id = 'result-stage-record';
   return made;
 }
 

@@ -15,7 +15,7 @@ const TEXT = {
   bench: t('Bench'), operator: t('Operator'), nobody: t('nobody'),
   time: t('Predicted duration'), plusMoves: t('plus the moves: the bench file gives no speed'),
   uncertainty: t('Predicted standard uncertainties'), noNoise: t('not known: there is no earlier run of this item or model'), noPrediction: t('not predicted for this estimator'),
-  noise: t('Noise of a reading'), disk: t('Free disk space'), check: t('Last check of this bench'), never: t('none from the console'),
+  noise: t('Noise of a reading'), disk: t('Free disk space'), check: t('Last check of this bench'), record: t('Record of the stage'), never: t('none from the console'),
   noMotion: t('without motion'), before: t('Before the start'), refused: t('It cannot be started'),
   items: t('Items of the bench file'),
   reading: t('Reading the bench file, predicting'), asBench: t('as the bench file'),
@@ -196,6 +196,12 @@ export class StartForm {
     fact(TEXT.disk, t`${megabytes(disk.free_bytes)}, needed ${megabytes(disk.needed_bytes)}`);
     if (check) fact(TEXT.check, timeElement(check.utc, 'day'), t`: ${check.good} good, ${check.warnings} warnings, ${check.problems} problems`, check.with_motion ? '' : `, ${TEXT.noMotion}`, ' (', operatorIn(check.by), ')');
     else fact(TEXT.check, TEXT.never);
+    const {stage_record: record} = answer;
+    if (record) {
+      const {last_run: last} = record;
+      fact(TEXT.record, timeElement(record.learned_utc, 'day'), t`: learned from ${record.runs} runs, ${record.age_months.toFixed(1)} months old, good for ${record.validity_months.toFixed(1)}; `,
+        last ? element('span', {class: last.agrees ? 'grade-good' : 'grade-problem'}, last.agrees ? t`run ${last.name} agrees with it` : t`run ${last.name} contradicts it`) : t('not yet tested by a run here'));
+    }
     this.facts.replaceChildren(...facts);
   }
 
