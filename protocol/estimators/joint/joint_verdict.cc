@@ -239,13 +239,14 @@ std::string smaller_effects(const std::vector<EffectTest>& effects) {
 
 /// chi2 in words, with what a low one means.
 std::string words_about_chi2(const EffectFit& fit, const JointTests& tests, Diagnostics& diagnostics) {
+  const double above = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   const double below = chi2_lower_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   diagnostics.chi2 = fit.chi2;
-  diagnostics.chi2_probability = tests.chi2_probability;
+  diagnostics.chi2_probability = above;
   diagnostics.low_chi2_probability = below;
   if (!(below < kLowChi2))
     return fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})", fit.chi2,
-                       fit.chi2_degrees_of_freedom, tests.chi2_probability);
+                       fit.chi2_degrees_of_freedom, above);
   diagnostics.sizes_too_large = std::sqrt(fit.chi2_degrees_of_freedom / fit.chi2);
   diagnostics.notes.push_back(fmt::format(
       "chi2 is far below its degrees of freedom: the stated sizes of effects or the uncertainties of the "
@@ -355,7 +356,7 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
   std::string about_chi2;
   if (options.white_known) {
     about_chi2 = words_about_chi2(fit, tests, diagnostics);
-    if (!(tests.chi2_probability >= tests.level)) {
+    if (!(diagnostics.chi2_probability >= tests.level)) {
       contradictions.push_back(about_chi2 +
                                ": the model does not explain the readings within their uncertainties");
     }

@@ -331,6 +331,8 @@ EffectFit common_fit(const EffectFit& own, const RunInformation& first, const Se
   fit.covariance_line_type_b = Covariance12::Zero();
   for (const EffectShare& share : item.shares) fit.covariance_line_type_b += share.covariance;
   fit.shares = item.shares;
+  fit.chi2 = series.chi2;
+  fit.chi2_degrees_of_freedom = series.degrees_of_freedom;
   fit.iterations = series.iterations;
   fit.reciprocal_condition = series.reciprocal_condition;
   for (std::size_t n = 0; n < fit.step_error.size(); ++n) {

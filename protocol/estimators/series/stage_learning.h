@@ -47,7 +47,7 @@ SeriesOptions with_record(const StageRecord& record, double months);
 
 /// The fit of the first run's item from all runs of a series, as a common fit of several items gives it
 /// (joint_result.h): the line response with its covariance and shares, the unknowns and the step errors;
-/// noise, residuals and tests are those of the run's own fit.
+/// chi2 is that of the common fit, noise, residuals and tests are those of the run's own fit.
 /// @param own  that fit
 EffectFit common_fit(const EffectFit& own, const RunInformation& first, const SeriesFit& series);
 

@@ -200,7 +200,7 @@ function stageRecord(record) {
   const outcome = (passed) => element('span', {class: passed ? 'grade-good' : 'grade-problem'}, passed ? t('agrees') : t('CONTRADICTS'));
   const figure = (value, words) => (value === null ? DASH : words(value));
   const made = scrollable('stack scroll-x', t('Record of the stage'), table(
-    t`${record.stage}: learned ${day(record.learned_utc)} from ${record.runs} runs; ${record.age_months.toFixed(1)} months old, good for ${record.validity_months.toFixed(1)}.`,
+    t`${record.stage}: learned ${record.learned_utc.slice(0, 10)} from ${record.runs} runs; ${record.age_months.toFixed(1)} months old, good for ${record.validity_months.toFixed(1)}.`,
     [t('Part of the stage'), t('Outcome'), t('Times what the record expects'), t('Probability')],
     record.tests.map((one) => [said(one.part), outcome(one.passed), figure(one.times_expected, (x) => x.toFixed(2)), figure(one.probability, (p) => p.toPrecision(2))])));
   made.id = 'result-stage-record';
