@@ -14,7 +14,7 @@ inline constexpr std::array<int, 4> kMountingCounts{2, 3, 6, 12};
 /// How the item of a series (docs/theory/series.md) is turned in each of its mountings, against the first:
 /// right-handed turns in the frame of the platter, by which a vector v of the item becomes turn * v. The
 /// first is the identity. 2: and 90 degrees about X. 3: the axes exchanged in turn. 6: these three, each also
-/// after half a turn about z. 12: these three, each also after half a turn about x, y and z.
+/// with half a turn about z after it. 12: these three, each also with half a turn about x, y and z after it.
 /// @throws std::invalid_argument another count
 std::vector<Eigen::Matrix3d> mounting_turns(int count);
 
