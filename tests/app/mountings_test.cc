@@ -56,8 +56,7 @@ TEST_F(MountingsTest, MeasuresEveryMountingAndEndsWithOneResult) {
 
 TEST_F(MountingsTest, TheSameCommandGoesOnAfterAnyInterruption) {
   // A run takes some 10 s of simulated time, and each session begins again at 0 s.
-  test::write_file(folder / "bench.toml",
-                   bench.text() + "[[fault]]\nkind = \"no-output\"\nat_s = 9.0\n");
+  test::write_file(folder / "bench.toml", bench.text() + "[[fault]]\nkind = \"no-output\"\nat_s = 9.0\n");
   const test::ProgramResult first = two();
   EXPECT_EQ(first.exit_code, 3) << first.err;
   EXPECT_THAT(first.err, HasSubstr("abcal mountings bench.toml --mountings 2 -o bench-mounting"));

@@ -30,7 +30,7 @@ std::string mounting_drawing(const std::string& mounting);
 /// How an item stands, against how it should.
 struct MountingJudgement {
   bool is_as_required = false;
-  std::string words;  ///< What gravity shows, and which turn is missing.
+  std::string words;  ///< The mounting that gravity shows, and the turn that is missing.
 };
 
 /// Judges from a small turn whether an item is mounted as required.

@@ -53,7 +53,7 @@ std::string part_of(const RunInformation& run, Eigen::Index q) {
 /// The unknowns of the stage in a run as a record predicts them.
 struct Prediction {
   std::vector<Eigen::Index> q;   ///< Places of those that the record knows.
-  std::vector<int> repeat_part;  ///< Of each, as repeat_part_of() has it.
+  std::vector<int> repeat_part;  ///< repeat_part_of() each of them.
   Eigen::VectorXd mean;
   Eigen::MatrixXd covariance;
 };
@@ -130,7 +130,7 @@ EffectTest test_part(const std::string& name, const Eigen::VectorXd& difference,
   z = transposed_product_with_vector(by_size.vectors, z);
   test.probability = 0.0;
   for (const ProbableSize& one : uncertain.sizes) {
-    constexpr double kLeastVariance = 1e-6;  // What the readings and the state leave is more.
+    constexpr double kLeastVariance = 1e-6;  // The readings and the state leave more.
     const double more = one.size * one.size - uncertain.rms * uncertain.rms;
     const double chi2 =
         (z.array().square() / (1.0 + more * by_size.values.array()).max(kLeastVariance)).sum();
