@@ -167,6 +167,7 @@ TEST_F(StudyCommands, TolerancesOnTheCommandLineReplaceTheRunsOwn) {
 }
 
 TEST_F(StudyCommands, StepErrorsOfOneRunAreNoRecordOfAStage) {
+  write_run();
   test::write_file(folder / "acs.json", abcal({"analyse", "run.csv", "--estimator", "joint", "--json"}).out);
   for (const char* option : {"--measured-acs", "--stage-record"}) {
     const ProgramResult old =

@@ -461,6 +461,7 @@ export default {
   CONTRADICTS: 'WIDERSPRICHT',
   '{}: learned {} from {} runs; {} months old, good for {}.': '{}: gelernt am {} aus {} Läufen; {} Monate alt, gut für {}.',
   'Part of the stage': 'Teil des Drehtisches',
+  Probability: 'Wahrscheinlichkeit',
   'Times what the record expects': 'Vielfaches des vom Datensatz Erwarteten',
   'none from the console': 'keine von der Konsole',
   ': {} good, {} warnings, {} problems': ': {} gut, {} Warnungen, {} Probleme',
