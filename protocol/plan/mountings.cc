@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <stdexcept>
@@ -46,10 +47,27 @@ std::vector<Eigen::Matrix3d> mounting_turns(int count) {
   }
 }
 
+const std::vector<Eigen::Matrix3d>& turns_of_cube() {
+  static const std::vector<Eigen::Matrix3d> turns = [] {
+    std::vector<Eigen::Matrix3d> out;
+    std::array<int, 3> axis{0, 1, 2};
+    do {
+      for (unsigned signs = 0; signs < 8; ++signs) {
+        Eigen::Matrix3d turn = Eigen::Matrix3d::Zero();
+        for (unsigned k = 0; k < 3; ++k)
+          turn(axis[k], static_cast<Eigen::Index>(k)) = (signs >> k & 1U) != 0U ? -1.0 : 1.0;
+        if (turn.determinant() > 0.0) out.push_back(turn);
+      }
+    } while (std::next_permutation(axis.begin(), axis.end()));
+    return out;
+  }();
+  return turns;
+}
+
 std::string turn_in_words(const Eigen::Matrix3d& turn) {
   const Eigen::AngleAxisd turned(turn);
   const double degrees = std::round(turned.angle() * 180.0 / std::numbers::pi);
-  if (degrees == 0.0) return {};
+  if (degrees == 0.0) return "as in the first run";
   std::string axis;
   for (Eigen::Index k = 0; k < 3; ++k) {
     const double along = turned.axis()(k);

@@ -18,8 +18,11 @@ inline constexpr std::array<int, 4> kMountingCounts{2, 3, 6, 12};
 /// @throws std::invalid_argument another count
 std::vector<Eigen::Matrix3d> mounting_turns(int count);
 
-/// "turned by 90 degrees about X", "turned by 120 degrees about X-Y+Z": a turn by one of the rotations of a
-/// cube. Empty: no turn.
+/// The 24 turns of a cube.
+const std::vector<Eigen::Matrix3d>& turns_of_cube();
+
+/// How an item stands after one of the turns of a cube: "turned by 90 degrees about X", "turned by 120
+/// degrees about X-Y+Z"; without a turn "as in the first run".
 std::string turn_in_words(const Eigen::Matrix3d& turn);
 
 /// Directions of u, v, w, as rows, as [item] mounting states them: "x -z y". Nothing where one of them is not

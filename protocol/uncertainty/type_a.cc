@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "protocol/estimators/series/stage_curves.h"
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
@@ -17,33 +18,12 @@ namespace abcal {
 
 namespace {
 
-/// Part of an input of the stage at a pose: a coefficient of an unknown of the state.
-struct Term {
-  int input = 0;
-  Eigen::Index place = 0;
-  double coefficient = 0.0;
-};
-
 /// One reading as the trials need it.
 struct Pose {
   StagePose stage;
-  std::vector<Term> terms;
+  std::vector<StageTerm> terms;
   double step_sd = 0.0;  ///< radian
 };
-
-std::vector<Term> terms_at(const StageState& state, const StagePose& pose) {
-  std::vector<Term> terms;
-  for (const StageEffect& effect : stage_effects()) {
-    for (int i = 0; i < effect.count; ++i) {
-      const Eigen::Index place = state.place_of(unknown_name(effect, i));
-      if (place < 0) continue;
-      const StageShare share = effect.share(pose, i);
-      if (share.value != 0.0) terms.push_back({share.input, place, share.value});
-      if (share.second_value != 0.0) terms.push_back({share.second_input, place, share.second_value});
-    }
-  }
-  return terms;
-}
 
 Pose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
   const SinCos alpha = sincos(dwell.alpha);
@@ -139,7 +119,7 @@ MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured
       for (std::size_t i = 0; i < poses.size(); ++i) {
         const Pose& pose = poses[i];
         StageInputs inputs = StageInputs::Zero();
-        for (const Term& term : pose.terms) inputs(term.input) += term.coefficient * state(term.place);
+        for (const StageTerm& term : pose.terms) inputs(term.input) += term.coefficient * state(term.place);
         inputs(moving_angle_input(pose.stage.experiment)) += pose.step_sd * stream.normal();
         gravity[i] = gravity_alone(pose.stage, inputs);
       }

@@ -149,7 +149,7 @@ int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k)
   return result.verdict == Verdict::kNotUsable || !agrees ? kExitFailed : kExitDone;
 }
 
-/// Runs of one item on one stage, by one joint fit.
+/// Checks the options of an analysis of several runs, and prints it.
 int show_series(const AnalyseOptions& options) {
   if (options.item != 0 || !options.truth.empty())
     throw std::invalid_argument(
@@ -160,13 +160,27 @@ int show_series(const AnalyseOptions& options) {
         fmt::format("--estimator {}: runs of a series are fitted by the joint estimator", options.estimator));
   std::optional<StageRecord> record;
   if (!options.stage_record.empty()) record = read_stage_record(options.stage_record);
-  const AnalysedItem series = analyse_series_of_runs({options.files.begin(), options.files.end()}, record);
-  options.json() ? print_result("{}\n", result_json(series.results.front()).dump(2))
-                 : print_result("{}", text_of(series, options));
-  return series.results.front().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+  return print_series(options.files, record, options.form);
 }
 
 }  // namespace
+
+int print_series(const std::vector<std::string>& files, const std::optional<StageRecord>& record,
+                 ResultForm form) {
+  const AnalysedItem series = analyse_series_of_runs(files, record);
+  switch (form) {
+    case ResultForm::kJson:
+      print_result("{}\n", result_json(series.results.front()).dump(2));
+      break;
+    case ResultForm::kFull:
+      print_result("{}", full_text(series, stdout));
+      break;
+    case ResultForm::kSummary:
+      print_result("{}", summary_text(series, fmt::format("{}", fmt::join(files, " ")), stdout));
+      break;
+  }
+  return series.results.front().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
 
 TruthComparison show_truth(const std::string& bench_file, int item, const CalibrationResult& result,
                            std::FILE* stream) {

@@ -1,9 +1,13 @@
 #pragma once
 
 #include <cstdio>
+#include <optional>
 #include <string>
+#include <vector>
 
+#include "app/faces/commands/run.h"
 #include "app/results/estimates/analyses.h"
+#include "protocol/record/stage_record.h"
 
 namespace abcal {
 
@@ -11,5 +15,11 @@ namespace abcal {
 /// @param stream  stdout, or stderr where standard output belongs to a program
 TruthComparison show_truth(const std::string& bench_file, int item, const CalibrationResult& result,
                            std::FILE* stream);
+
+/// Fits runs of one item on one stage together, and prints the result.
+/// @return the exit code of the program
+/// @throws as analyse_series_of_runs()
+int print_series(const std::vector<std::string>& files, const std::optional<StageRecord>& record,
+                 ResultForm form);
 
 }  // namespace abcal

@@ -1,15 +1,14 @@
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "app/faces/commands/analyse.h"
 #include "app/faces/commands/check.h"
 #include "app/faces/commands/commands.h"
 #include "app/faces/commands/run.h"
@@ -24,9 +23,6 @@
 #include "app/laboratory/issuing/laboratory_link.h"
 #include "app/laboratory/register/register_lookup.h"
 #include "app/operate/session/mounting_series.h"
-#include "app/results/estimates/result_json.h"
-#include "app/results/estimates/result_summary.h"
-#include "app/results/estimates/series_of_runs.h"
 #include "protocol/plan/mountings.h"
 #include "protocol/record/run_file.h"
 
@@ -200,23 +196,12 @@ int guide(const Options& options) {
       throw;
     }
   }
-  const AnalysedItem series = analyse_series_of_runs(files, std::nullopt);
-  switch (options.form) {
-    case ResultForm::kJson:
-      print_result("{}\n", result_json(series.results.front()).dump(2));
-      break;
-    case ResultForm::kFull:
-      print_result("{}", full_text(series, stdout));
-      break;
-    case ResultForm::kSummary:
-      print_result("{}", summary_text(series, fmt::format("{}", fmt::join(files, " ")), stdout));
-      break;
-  }
+  const int exit_code = print_series(files, std::nullopt, options.form);
   print_log(
       "next: abcal analyse {0}-*.run --full, or the record of the stage: abcal stage learn {0}-*.run -o "
       "bench.stage\n",
       stem_of(options));
-  return series.results.front().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+  return exit_code;
 }
 
 }  // namespace

@@ -219,17 +219,9 @@ Angle turn_between(const Matrix3d& a, const Matrix3d& b) {
 
 NearestMounting nearest_mounting(const Matrix3d& axes) {
   NearestMounting nearest;
-  std::array<int, 3> order{0, 1, 2};
-  do {
-    for (int signs = 0; signs < 8; ++signs) {
-      Matrix3d candidate = Matrix3d::Zero();
-      for (int j = 0; j < 3; ++j)
-        candidate(j, order[static_cast<std::size_t>(j)]) = ((signs >> j) & 1) != 0 ? -1.0 : 1.0;
-      if (candidate.determinant() < 0.0) continue;
-      if (const Angle tilt = turn_between(candidate, axes); tilt < nearest.tilt)
-        nearest = {candidate, mounting_words(candidate).value(), tilt};
-    }
-  } while (std::ranges::next_permutation(order).found);
+  for (const Matrix3d& candidate : turns_of_cube())
+    if (const Angle tilt = turn_between(candidate, axes); tilt < nearest.tilt)
+      nearest = {candidate, mounting_words(candidate).value(), tilt};
   return nearest;
 }
 

@@ -1,10 +1,8 @@
 #include "app/operate/session/mounting_series.h"
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <algorithm>
-#include <array>
 #include <stdexcept>
 
 #include "app/ground/bench_file/not_real.h"
@@ -39,7 +37,6 @@ std::vector<SeriesMounting> mountings_of_series(const BenchConfig& config, int c
   for (const Eigen::Matrix3d& turn : mounting_turns(count)) {
     SeriesMounting& one = out.emplace_back();
     one.words = turn_in_words(turn);
-    if (one.words.empty()) one.words = "as in the first run";
     one.mounting = mounting_words(first * turn.transpose()).value();
     one.is_simulated = is_simulated;
     one.bench = config;

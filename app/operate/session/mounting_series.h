@@ -23,8 +23,8 @@ struct SeriesMounting {
 /// axes of the platter
 std::vector<SeriesMounting> mountings_of_series(const BenchConfig& config, int count);
 
-/// A drawing of the axes of the platter, four lines and more, with the output that points along each:
-/// at x the lines "x: u", at y "y: -w", at z "z: v".
+/// A drawing of the axes of the platter in lines of text, each axis with the output that points along it:
+/// "x: u", "y: -w", "z: v".
 std::string mounting_drawing(const std::string& mounting);
 
 /// How an item stands, against how it should.

@@ -42,24 +42,6 @@ Eigen::Matrix3d rotation(const Eigen::Vector3d& turn) {
   return Eigen::AngleAxisd(angle, turn / angle).toRotationMatrix();
 }
 
-/// The 24 turns of a cube.
-const std::vector<Eigen::Matrix3d>& turns_of_cube() {
-  static const std::vector<Eigen::Matrix3d> turns = [] {
-    std::vector<Eigen::Matrix3d> out;
-    std::array<int, 3> axis{0, 1, 2};
-    do {
-      for (unsigned signs = 0; signs < 8; ++signs) {
-        Eigen::Matrix3d turn = Eigen::Matrix3d::Zero();
-        for (unsigned k = 0; k < 3; ++k)
-          turn(axis[k], static_cast<Eigen::Index>(k)) = (signs >> k & 1U) != 0U ? -1.0 : 1.0;
-        if (turn.determinant() > 0.0) out.push_back(turn);
-      }
-    } while (std::next_permutation(axis.begin(), axis.end()));
-    return out;
-  }();
-  return turns;
-}
-
 /// The turn of the item in a run against its first run.
 Eigen::Matrix3d turn_between(const RunInformation& first, const RunInformation& run) {
   constexpr double kNear = 0.15;  // radian: 8 degrees
@@ -708,8 +690,7 @@ SeriesFit Series::result() {
 }  // namespace
 
 std::string SeriesRunResult::mounting() const {
-  const std::string words = turn_in_words(turn);
-  return words.empty() ? "as in the first run" : words;
+  return turn_in_words(turn);
 }
 
 SeriesFit fit_series(std::span<const SeriesRun> runs, const SeriesOptions& options) {

@@ -18,13 +18,8 @@ StagePose pose_at(char axis, double angle_deg) {
 /// Derivatives of an input of the stage at a pose by the unknowns of a state.
 Eigen::RowVectorXd input_row(const StageState& state, const StagePose& pose, int input) {
   Eigen::RowVectorXd row = Eigen::RowVectorXd::Zero(state.size());
-  for (const StageEffect& effect : stage_effects()) {
-    for (int i = 0; i < effect.count; ++i) {
-      const StageShare share = effect.share(pose, i);
-      const Eigen::Index place = state.place_of(unknown_name(effect, i));
-      if (share.input == input && place >= 0) row(place) += share.value;
-    }
-  }
+  for (const StageTerm& term : terms_at(state, pose))
+    if (term.input == input) row(term.place) += term.coefficient;
   return row;
 }
 
@@ -42,6 +37,20 @@ std::vector<StageCurvePoint> less_mean(const StageState& state, Eigen::MatrixXd 
 }
 
 }  // namespace
+
+std::vector<StageTerm> terms_at(const StageState& state, const StagePose& pose) {
+  std::vector<StageTerm> terms;
+  for (const StageEffect& effect : stage_effects()) {
+    for (int i = 0; i < effect.count; ++i) {
+      const Eigen::Index place = state.place_of(unknown_name(effect, i));
+      if (place < 0) continue;
+      const StageShare share = effect.share(pose, i);
+      if (share.value != 0.0) terms.push_back({share.input, place, share.value});
+      if (share.second_value != 0.0) terms.push_back({share.second_input, place, share.second_value});
+    }
+  }
+  return terms;
+}
 
 std::vector<StageCurvePoint> angle_error(const StageState& state, char axis) {
   std::vector<double> angles;

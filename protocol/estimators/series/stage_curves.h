@@ -2,9 +2,20 @@
 
 #include <vector>
 
+#include "protocol/model/stage_model.h"
 #include "protocol/record/stage_record.h"
 
 namespace abcal {
+
+/// Part of an input of the stage at a pose: a coefficient of an unknown of a state.
+struct StageTerm {
+  int input = 0;           ///< StageInput
+  Eigen::Index place = 0;  ///< Place of the unknown in the state.
+  double coefficient = 0.0;
+};
+
+/// The inputs of the stage at a pose by the named unknowns of a state, without its fine map.
+std::vector<StageTerm> terms_at(const StageState& state, const StagePose& pose);
 
 /// A value of a stage at an angle of one of its axes.
 struct StageCurvePoint {

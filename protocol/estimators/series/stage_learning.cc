@@ -62,7 +62,6 @@ Prediction predicted(const RunInformation& run, const StageState& before,
                      const Repeatabilities& repeatabilities) {
   Prediction out;
   std::vector<Eigen::Index> known;
-  std::vector<double> repeat;
   for (Eigen::Index q = run.layout.first_stage(); q < run.at.size(); ++q) {
     const bool is_visit = q >= run.layout.count();
     const std::string& name =
@@ -75,7 +74,6 @@ Prediction predicted(const RunInformation& run, const StageState& before,
     known.push_back(place);
     const int part = is_visit ? static_cast<int>(RepeatPart::kStep) : repeat_part_of(name);
     out.repeat_part.push_back(part);
-    repeat.push_back(part < 0 ? 0.0 : repeatabilities[static_cast<std::size_t>(part)].rms);
   }
   const auto count = static_cast<Eigen::Index>(known.size());
   out.mean.resize(count);
@@ -85,7 +83,8 @@ Prediction predicted(const RunInformation& run, const StageState& before,
     out.mean(i) = before.mean(at);
     for (Eigen::Index k = 0; k < count; ++k)
       out.covariance(i, k) = before.covariance(at, known[static_cast<std::size_t>(k)]);
-    out.covariance(i, i) += std::pow(repeat[static_cast<std::size_t>(i)], 2);
+    if (const int part = out.repeat_part[static_cast<std::size_t>(i)]; part >= 0)
+      out.covariance(i, i) += std::pow(repeatabilities[static_cast<std::size_t>(part)].rms, 2);
   }
   return out;
 }
