@@ -253,11 +253,7 @@ TEST(RunUncertaintyTest, TypeACoversStagesThatItsCovarianceDescribes) {
   const OutputVector true_values = to_vector(outputs_of(truth.sensitivity_matrix, truth.offset));
   OutputVector z2 = OutputVector::Zero();
   constexpr int kStages = 40;
-  for (int stage = 0; stage < kStages; ++stage) {
-    Eigen::VectorXd q(size + 1);
-    for (Eigen::Index i = 0; i <= size; ++i)
-      q(i) = std::sqrt(measured.state.covariance(i, i)) * draw.normal();
-    q(other) = -q(one);
+  const auto measure = [&](const Eigen::VectorXd& q, double step_sd) {
     for (DwellRecord& dwell : record.dwells) {
       const SinCos alpha = sincos(dwell.alpha);
       const StagePose pose = StagePose::of(dwell.experiment, 1, alpha.sin, alpha.cos);
@@ -272,11 +268,30 @@ TEST(RunUncertaintyTest, TypeACoversStagesThatItsCovarianceDescribes) {
         }
       }
       const int moving = moving_angle_input(dwell.experiment);
-      const bool is_in_map = dwell.experiment != 3 && std::abs(dwell.alpha.deg() - 90.0) < 1e-6;
-      inputs(moving) += is_in_map ? q(size) : record.tolerances.step.rad() * draw.normal();
-      if (is_in_map) inputs(moving) += record.tolerances.step.rad() * draw.normal();
+      if (dwell.experiment != 3 && std::abs(dwell.alpha.deg() - 90.0) < 1e-6) inputs(moving) += q(size);
+      inputs(moving) += step_sd * draw.normal();
       dwell.mean = truth.sensitivity_matrix * gravity_alone(pose, inputs) + truth.offset;
     }
+  };
+  const auto drawn = [&] {
+    Eigen::VectorXd q(size + 1);
+    for (Eigen::Index i = 0; i <= size; ++i)
+      q(i) = std::sqrt(measured.state.covariance(i, i)) * draw.normal();
+    q(other) = -q(one);
+    return q;
+  };
+  // A stage that is known exactly: the truth.
+  MeasuredAcs known = measured;
+  known.state.mean = drawn();
+  known.state.covariance.setZero();
+  known.step = known.repeatability = Angle();
+  measure(known.state.mean, 0.0);
+  const MonteCarloResult exact = run_type_a(record, known, 1, options);
+  for (int k = 0; k < kStudyOutputs; ++k)
+    EXPECT_NEAR(exact.mean(k), true_values(k), 1e-11) << output_symbol(k);
+
+  for (int stage = 0; stage < kStages; ++stage) {
+    measure(drawn(), record.tolerances.step.rad());
     const MonteCarloResult result = run_type_a(record, measured, 1, options);
     z2 += ((result.mean - true_values).array() / result.standard_deviation.array()).square().matrix();
   }
