@@ -188,6 +188,19 @@ std::string FaultyStream::distort(std::string bytes) {
   return bytes;
 }
 
+/// Keeps received bytes, with the faults in force, until they are due.
+void FaultyStream::hold(std::string bytes, Clock::Instant arrival) {
+  Clock::Instant due = arrival + timing_.latency;
+  if (const WireFault* late = active(FaultKind::kLateReply)) due += late->delay;
+  // 53 random bits: a fraction of the jitter in [0, 1).
+  if (timing_.jitter > Clock::Duration::zero())
+    due += from_seconds(to_seconds(timing_.jitter) * static_cast<double>(draw() >> 11U) * 0x1p-53);
+  bytes = distort(std::move(bytes));
+  // In order: nothing overtakes a late reply.
+  if (!bytes.empty())
+    held_.push_back({held_.empty() ? due : std::max(due, held_.back().due), std::move(bytes)});
+}
+
 wire::ReceivedBytes FaultyStream::read_until(Clock::Instant deadline) {
   for (;;) {
     Clock::Instant next = deadline;
@@ -209,20 +222,12 @@ wire::ReceivedBytes FaultyStream::read_until(Clock::Instant deadline) {
         for (const auto& change : {fault.at, fault.until})
           if (change && *change > clock_.now()) next = std::min(next, *change);
     }
-    wire::ReceivedBytes received = inner_->read_until(next);
+    const wire::ReceivedBytes received = inner_->read_until(next);
     const std::lock_guard lock(mutex_);
     throw_if_unplugged();
     if (!received.bytes.empty() && active(FaultKind::kSilence) == nullptr) {
-      const WireFault* late = active(FaultKind::kLateReply);
-      Clock::Instant due = received.arrival + timing_.latency;
-      if (late != nullptr) due += late->delay;
-      // 53 random bits: a fraction of the jitter in [0, 1).
-      if (timing_.jitter > Clock::Duration::zero())
-        due += from_seconds(to_seconds(timing_.jitter) * static_cast<double>(draw() >> 11U) * 0x1p-53);
-      std::string bytes = distort(std::move(received.bytes));
-      // In order: nothing overtakes a late reply.
-      if (!bytes.empty())
-        held_.push_back({held_.empty() ? due : std::max(due, held_.back().due), std::move(bytes)});
+      received.for_each_group(
+          [this](std::string_view bytes, Clock::Instant arrival) { hold(std::string(bytes), arrival); });
       continue;
     }
     const bool waiting_for_held = !held_.empty() && held_.front().due <= clock_.now();

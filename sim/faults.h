@@ -48,6 +48,7 @@ class FaultyStream final : public wire::ByteStream {
     std::string bytes;
   };
   const WireFault* active(FaultKind kind) const;
+  void hold(std::string bytes, Clock::Instant arrival);
   void throw_if_unplugged();
   void follow_power();
   std::string distort(std::string bytes);

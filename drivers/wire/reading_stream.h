@@ -7,6 +7,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "drivers/instrument/accelerometer.h"
@@ -73,23 +74,25 @@ class ReadingStream {
 
   /// Reads once and passes the bytes to the parser, without decoding.
   ReceivedBytes fetch(Clock::Instant deadline) {
-    constexpr std::size_t kShownBytes = 32;
-    ReceivedBytes received = stream_.read_until(deadline);
-    const std::size_t dropped = stream_.dropped_bytes();
-    const bool ran_over = std::exchange(dropped_, dropped) != dropped;
-    if (ran_over) lose_track();  // The gap lies before these bytes or behind them.
-    received_bytes_ += received.bytes.size();
-    first_bytes_ += received.bytes.substr(0, kShownBytes - std::min(kShownBytes, first_bytes_.size()));
+    bool gap = false;
+    ReceivedBytes received = read(deadline, gap);
     if (!received.bytes.empty()) last_arrival_ = received.arrival;
     parser_.feed(received.bytes);
-    if (ran_over) gap_behind_ = true;
+    if (gap) gap_behind_ = true;
     return received;
   }
 
-  /// Reads once and decodes. False: nothing has come by the deadline.
+  /// Reads once and decodes; each frame has the time of arrival of its last bytes. False: nothing has come by
+  /// the deadline.
   bool receive(Clock::Instant deadline) {
-    const ReceivedBytes received = fetch(deadline);
-    take_waiting();
+    bool gap = false;
+    const ReceivedBytes received = read(deadline, gap);
+    received.for_each_group([this](std::string_view bytes, Clock::Instant arrival) {
+      if (!bytes.empty()) last_arrival_ = arrival;
+      parser_.feed(bytes);
+      take_waiting();
+    });
+    if (gap) lose_track();
     return !received.bytes.empty();
   }
 
@@ -160,6 +163,19 @@ class ReadingStream {
     at_start_ = at_last_reading_ = figures();
     framed_since_ = 0;
     dropped_at_discard_ = dropped_;
+  }
+
+  /// @param gap  set if bytes were dropped: before these, or behind them
+  ReceivedBytes read(Clock::Instant deadline, bool& gap) {
+    constexpr std::size_t kShownBytes = 32;
+    ReceivedBytes received = stream_.read_until(deadline);
+    const std::size_t dropped = stream_.dropped_bytes();
+    gap = std::exchange(dropped_, dropped) != dropped;
+    if (gap) lose_track();
+    received_bytes_ += received.bytes.size();
+    if (first_bytes_.size() < kShownBytes)
+      first_bytes_ += received.bytes.substr(0, kShownBytes - first_bytes_.size());
+    return received;
   }
 
   /// Like receive(). Also false if the last bytes came after the deadline, since they may never cease to

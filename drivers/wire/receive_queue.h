@@ -24,10 +24,9 @@ class ReceiveQueue {
   void push(std::string_view bytes, Clock::Instant arrival) {
     {
       const std::lock_guard lock(mutex_);
-      const std::size_t kept = std::min(bytes.size(), capacity_ - waiting_.size());
-      waiting_.append(bytes.substr(0, kept));
+      const std::size_t kept = std::min(bytes.size(), capacity_ - waiting_.bytes.size());
+      waiting_.append(bytes.substr(0, kept), arrival);
       dropped_ += bytes.size() - kept;
-      if (kept > 0) arrival_ = arrival;
     }
     changed_.notify_all();
   }
@@ -46,17 +45,20 @@ class ReceiveQueue {
   /// Waits in real time, on steady_clock.
   ReceivedBytes pop_until(Clock::Instant deadline) {
     std::unique_lock lock(mutex_);
-    changed_.wait_until(lock, deadline, [this] { return !waiting_.empty() || closed_; });
-    if (waiting_.empty()) throw_if_closed_locked();
-    ReceivedBytes received{std::move(waiting_), arrival_};
-    waiting_.clear();
-    return received;
+    changed_.wait_until(lock, deadline, [this] { return !waiting_.bytes.empty() || closed_; });
+    if (waiting_.bytes.empty()) throw_if_closed_locked();
+    return std::exchange(waiting_, {});
   }
 
   void discard() {
     const std::lock_guard lock(mutex_);
-    waiting_.clear();
+    waiting_ = {};
     throw_if_closed_locked();
+  }
+
+  bool closed() const {
+    const std::lock_guard lock(mutex_);
+    return closed_;
   }
 
   void throw_if_closed() const {
@@ -80,8 +82,7 @@ class ReceiveQueue {
   const std::size_t capacity_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::string waiting_;
-  Clock::Instant arrival_;  ///< Arrival of the last byte of waiting_.
+  ReceivedBytes waiting_;
   std::size_t dropped_ = 0;
   bool closed_ = false;
   std::string reason_;

@@ -24,7 +24,9 @@ void RecordingStream::write(std::string_view bytes) {
 ReceivedBytes RecordingStream::read_until(Clock::Instant deadline) {
   try {
     ReceivedBytes received = inner_->read_until(deadline);
-    note(WireEvent::Kind::kReceived, received.bytes, received.arrival);
+    received.for_each_group([this](std::string_view bytes, Clock::Instant arrival) {
+      note(WireEvent::Kind::kReceived, std::string(bytes), arrival);
+    });
     return received;
   } catch (const InstrumentError& error) {
     note_failure(WireCall::kRead, error);

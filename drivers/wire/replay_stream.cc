@@ -64,10 +64,7 @@ void ReplayStream::write(std::string_view bytes) {
   const WireEvent* event = next();
   for (; event != nullptr && event->kind != Kind::kWritten; event = next()) {
     if (event->kind == Kind::kFailed) fail_as_recorded();
-    if (event->kind == Kind::kReceived) {
-      waiting_.bytes += event->bytes;
-      waiting_.arrival = event->arrival;
-    }
+    if (event->kind == Kind::kReceived) waiting_.append(event->bytes, event->arrival);
     ++cursor_;
   }
   if (event == nullptr) end();

@@ -9,15 +9,16 @@
 #include <sys/sysmacros.h>
 #include <termios.h>
 
+#include <boost/asio/io_context.hpp>
 #include <boost/asio/serial_port.hpp>
 #include <cerrno>
 #include <chrono>
 #include <cstring>
 #include <vector>
 
-#include "drivers/wire/asio_link.h"
 #include "drivers/wire/device_file.h"
 #include "drivers/wire/lease.h"
+#include "drivers/wire/port_link.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal::wire {
@@ -84,32 +85,32 @@ void set(boost::asio::serial_port& port, const Option& option, const std::string
 
 struct SerialPort::Impl {
   Impl(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes, const std::string& holder)
-      : lease(Lease::take_device(settings.path, holder)), link(settings.path, clock, queue_bytes) {
+      : lease(Lease::take_device(settings.path, holder)), port(io), link(settings.path, clock, queue_bytes) {
     using boost::asio::serial_port;
     const std::string& path = settings.path;
     Descriptor descriptor = open_and_lock(path);
     const int fd = descriptor.get();
     make_raw(fd, path);
     boost::system::error_code error;
-    link.port().assign(fd, error);
+    port.assign(fd, error);
     if (error) cannot_open(path, error.message());
     descriptor.release();
-    set(link.port(), serial_port::baud_rate(settings.baud), path, fmt::format("{} baud", settings.baud));
-    set(link.port(), serial_port::character_size(8), path, "8 data bits");
-    set(link.port(), serial_port::parity(serial_port::parity::none), path, "no parity");
-    set(link.port(), serial_port::stop_bits(serial_port::stop_bits::one), path, "1 stop bit");
-    set(link.port(),
+    set(port, serial_port::baud_rate(settings.baud), path, fmt::format("{} baud", settings.baud));
+    set(port, serial_port::character_size(8), path, "8 data bits");
+    set(port, serial_port::parity(serial_port::parity::none), path, "no parity");
+    set(port, serial_port::stop_bits(serial_port::stop_bits::one), path, "1 stop bit");
+    set(port,
         serial_port::flow_control(settings.rts_cts ? serial_port::flow_control::hardware
                                                    : serial_port::flow_control::none),
         path, settings.rts_cts ? "RTS/CTS flow control" : "no flow control");
     ::tcflush(fd, TCIFLUSH);  // Bytes waiting in the kernel were meant for the previous program.
-    link.start();
+    link.start(fd);
   }
 
   /// The last bytes (a stop command, say) are given time to leave; bytes that a blocked line still holds then
   /// are dropped, because the kernel would keep close() waiting for 30 s.
   ~Impl() {
-    const int fd = link.port().native_handle();
+    const int fd = port.native_handle();
     const auto deadline = std::chrono::steady_clock::now() + kDrainDeadline;
     for (int waiting = 0; ::ioctl(fd, TIOCOUTQ, &waiting) == 0 && waiting > 0;) {
       if (std::chrono::steady_clock::now() >= deadline) {
@@ -123,8 +124,10 @@ struct SerialPort::Impl {
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
-  const std::shared_ptr<Lease> lease;  ///< Before the link: released after the port is closed.
-  AsioLink<boost::asio::serial_port> link;
+  const std::shared_ptr<Lease> lease;  ///< Before the port: released after that is closed.
+  boost::asio::io_context io;          ///< Never runs: the port is opened and set by it only.
+  boost::asio::serial_port port;
+  PortLink link;
 };
 
 SerialPort::SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes,
@@ -140,13 +143,13 @@ ReceivedBytes SerialPort::read_until(Clock::Instant deadline) {
   return impl_->link.read_until(deadline);
 }
 void SerialPort::discard_input() {
-  impl_->link.queue().discard();
+  impl_->link.discard();
 }
 std::size_t SerialPort::dropped_bytes() const {
   return impl_->link.queue().dropped();
 }
 int SerialPort::descriptor() const {
-  return impl_->link.port().native_handle();
+  return impl_->port.native_handle();
 }
 std::string SerialPort::name() const {
   return impl_->link.queue().name();

@@ -21,8 +21,8 @@ struct SerialSettings {
 
 /// A serial port or pseudo-terminal, raw and locked for this program alone.
 ///
-/// One background thread owns the port. It reads all the time into a bounded queue, with the time of arrival,
-/// so that a reader busy with something else loses nothing; bytes that do not fit are counted in
+/// A thread that all ports of the program share reads all the time into a bounded queue, with the times of
+/// arrival, so that a reader busy with something else loses nothing; bytes that do not fit are counted in
 /// dropped_bytes(). Any thread may write. Once the port has vanished, bytes that had arrived can still be
 /// read; then every call throws kLinkLost.
 class SerialPort final : public ByteStream, public PortDescriptor {
@@ -30,7 +30,7 @@ class SerialPort final : public ByteStream, public PortDescriptor {
   /// Takes the lease of the device, opens, locks (flock; on real ports TIOCEXCL too, which on a
   /// pseudo-terminal would outlive a program that crashed), sets raw mode and discards bytes waiting in the
   /// kernel.
-  /// @param clock Stamps the arrivals, from the background thread; its Instants must be those of
+  /// @param clock Stamps the arrivals, in several threads; its Instants must be those of
   /// steady_clock.
   /// @param holder  who uses it, for other programs that want it (Lease)
   /// @throws PortHeld: another program uses this device. InstrumentError kCannotOpen with one sentence: does

@@ -1,29 +1,20 @@
 #include "drivers/wire/socket_stream.h"
 
-#include <unistd.h>
-
-#include <boost/asio/local/stream_protocol.hpp>
 #include <utility>
 
-#include "drivers/wire/asio_link.h"
+#include "drivers/wire/device_file.h"
+#include "drivers/wire/port_link.h"
 
 namespace abcal::wire {
 
-using boost::asio::local::stream_protocol;
-
 struct SocketStream::Impl {
   Impl(int descriptor, std::string name, Clock& clock, std::size_t queue_bytes)
-      : link(std::move(name), clock, queue_bytes) {
-    boost::system::error_code error;
-    link.port().assign(stream_protocol(), descriptor, error);
-    if (error) {
-      ::close(descriptor);
-      throw InstrumentError(link.queue().name(), Fault::kCannotOpen, error.message());
-    }
-    link.start();
+      : socket(descriptor), link(std::move(name), clock, queue_bytes) {
+    link.start(descriptor);
   }
 
-  AsioLink<stream_protocol::socket> link;
+  const Descriptor socket;
+  PortLink link;
 };
 
 SocketStream::SocketStream(int descriptor, std::string name, Clock& clock, std::size_t queue_bytes)
@@ -38,7 +29,7 @@ ReceivedBytes SocketStream::read_until(Clock::Instant deadline) {
   return impl_->link.read_until(deadline);
 }
 void SocketStream::discard_input() {
-  impl_->link.queue().discard();
+  impl_->link.discard();
 }
 std::size_t SocketStream::dropped_bytes() const {
   return impl_->link.queue().dropped();

@@ -3,13 +3,14 @@
 #include <fmt/format.h>
 
 #include <boost/asio/connect.hpp>
+#include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include "drivers/wire/asio_link.h"
 #include "drivers/wire/lease.h"
+#include "drivers/wire/port_link.h"
 
 namespace abcal::wire {
 
@@ -18,10 +19,10 @@ using boost::asio::ip::tcp;
 struct TcpStream::Impl {
   Impl(const std::string& host, std::uint16_t port, Clock& clock, Clock::Duration connect_timeout,
        std::size_t queue_bytes, const std::string& holder)
-      : link(fmt::format("tcp:{}:{}", host, port), clock, queue_bytes) {
+      : socket(io), link(fmt::format("tcp:{}:{}", host, port), clock, queue_bytes) {
     boost::system::error_code outcome = boost::asio::error::timed_out;  // Until something better is known.
     bool host_found = false;
-    tcp::resolver resolver(link.io());
+    tcp::resolver resolver(io);
     resolver.async_resolve(
         host, std::to_string(port), tcp::resolver::numeric_service,
         [&](const boost::system::error_code& error, const tcp::resolver::results_type& found) {
@@ -36,24 +37,24 @@ struct TcpStream::Impl {
                 fmt::format("tcp:{}:{}", entry.endpoint().address().to_string(), entry.endpoint().port()),
                 holder));
           boost::asio::async_connect(
-              link.port(), found,
+              socket, found,
               [&](const boost::system::error_code& result, const tcp::endpoint&) { outcome = result; });
         });
-    link.io().run_for(connect_timeout);
+    io.run_for(connect_timeout);
     if (outcome) cannot_connect(host, port, host_found, outcome, connect_timeout);
-    link.port().set_option(tcp::no_delay(true));
+    socket.set_option(tcp::no_delay(true));
     // A controller that lost its power leaves no trace on an idle connection otherwise.
-    link.port().set_option(boost::asio::socket_base::keep_alive(true));
-    link.start();
+    socket.set_option(boost::asio::socket_base::keep_alive(true));
+    link.start(socket.native_handle());
   }
 
   [[noreturn]] void cannot_connect(const std::string& host, std::uint16_t port, bool host_found,
                                    boost::system::error_code error, Clock::Duration connect_timeout) {
     // The pending connect refers to the constructor's locals: let it end before they do.
     boost::system::error_code ignored;
-    link.port().close(ignored);
-    link.io().restart();
-    link.io().poll();
+    socket.close(ignored);
+    io.restart();
+    io.poll();
     std::string why;
     if (error == boost::asio::error::timed_out) {
       why = fmt::format("no answer within {} s; is the controller on, and connected to this network?",
@@ -68,8 +69,10 @@ struct TcpStream::Impl {
     throw InstrumentError(link.queue().name(), Fault::kCannotOpen, why);
   }
 
-  std::vector<std::shared_ptr<Lease>> leases;  ///< One for each address of the host; before the link.
-  AsioLink<tcp::socket> link;
+  std::vector<std::shared_ptr<Lease>> leases;  ///< One for each address of the host; before the socket.
+  boost::asio::io_context io;                  ///< Runs until the connection is there.
+  tcp::socket socket;
+  PortLink link;
 };
 
 TcpStream::TcpStream(const std::string& host, std::uint16_t port, Clock& clock,
@@ -85,13 +88,13 @@ ReceivedBytes TcpStream::read_until(Clock::Instant deadline) {
   return impl_->link.read_until(deadline);
 }
 void TcpStream::discard_input() {
-  impl_->link.queue().discard();
+  impl_->link.discard();
 }
 std::size_t TcpStream::dropped_bytes() const {
   return impl_->link.queue().dropped();
 }
 int TcpStream::descriptor() const {
-  return impl_->link.port().native_handle();
+  return impl_->socket.native_handle();
 }
 std::vector<std::shared_ptr<Lease>> TcpStream::leases() const {
   return impl_->leases;

@@ -33,8 +33,13 @@ constexpr const char* kDwell =
     "spread_v,"
     " spread_w, u_u, u_v, u_w, temperature_degc, flags, flag_words, first_sequence, first_reading_ns,"
     " reading_interval_ns, first_temperature_degc, temperature_step_degc from dwell where id = :dwell";
-constexpr const char* kReadings =
+constexpr const char* kReadingsOfVersion3 =
     "select k, u, v, w, skipped, late_ns, temperature_steps from reading where dwell = :dwell order by k";
+/// The same values since version 5.
+constexpr const char* kReadings =
+    "select k, u, v, w, coalesce((select skipped from reading_gap g where g.dwell = reading.dwell and"
+    " g.k <= reading.k order by g.k desc limit 1), 0), late_ns, temperature_steps"
+    " from reading where dwell = :dwell order by k";
 
 /// For closing_link().
 constexpr std::array kClosingQueries{
@@ -158,7 +163,7 @@ std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string
   hash.add(before);
   for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash, database, query, dwell);
   if (has_faces(database)) add_rows_of_dwell(hash, database, kFaceOfDwell, dwell);
-  add_rows_of_dwell(hash, database, kReadings, dwell);
+  add_rows_of_dwell(hash, database, has_reading_gaps(database) ? kReadings : kReadingsOfVersion3, dwell);
   return hash.hexadecimal();
 }
 

@@ -7,6 +7,7 @@
 #include <limits>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <variant>
 
 #include "protocol/record/dwell_chain.h"
@@ -60,7 +61,7 @@ constexpr std::array<std::string_view, 37> kDwellColumns{"id",
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
 /// nothing more is gained.
 constexpr std::size_t kRowsAtOnce = 50;
-constexpr int kParametersOfRow = 7;  // Without the dwell, which all rows share.
+constexpr int kParametersOfRow = 6;  // Without the dwell, which all rows share.
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
@@ -106,8 +107,8 @@ ReadingRow row_of(std::span<const StoredReading> readings, std::size_t index,
 /// Parameters by position, since there may be a million readings: ?1 is the dwell, the rest follow row by row
 /// in the order of bind_reading().
 std::string insert_readings(std::size_t rows) {
-  std::string sql = "insert into reading(dwell, k, u, v, w, skipped, late_ns, temperature_steps) values";
-  for (std::size_t row = 0; row < rows; ++row) sql += row == 0 ? "(?1,?,?,?,?,?,?,?)" : ",(?1,?,?,?,?,?,?,?)";
+  std::string sql = "insert into reading(dwell, k, u, v, w, late_ns, temperature_steps) values";
+  for (std::size_t row = 0; row < rows; ++row) sql += row == 0 ? "(?1,?,?,?,?,?,?)" : ",(?1,?,?,?,?,?,?)";
   return sql;
 }
 
@@ -116,20 +117,20 @@ void bind_reading(SqliteStatement& statement, int first, const ReadingRow& row) 
       .bind(first + 1, row.output[0])
       .bind(first + 2, row.output[1])
       .bind(first + 3, row.output[2])
-      .bind(first + 4, row.skipped)
-      .bind(first + 5, row.late_ns);
+      .bind(first + 4, row.late_ns);
   if (const auto* steps = std::get_if<std::int64_t>(&row.temperature_steps)) {
-    statement.bind(first + 6, *steps);
+    statement.bind(first + 5, *steps);
   } else if (const auto* degc = std::get_if<double>(&row.temperature_steps)) {
-    statement.bind(first + 6, *degc);
+    statement.bind(first + 5, *degc);
   } else {
-    statement.bind(first + 6, std::optional<double>());
+    statement.bind(first + 5, std::optional<double>());
   }
 }
 
 void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<const StoredReading> readings,
                     const ReadingConstants& constants, std::int64_t origin_ns) {
   DwellLink link(database, dwell);
+  std::int64_t skipped = 0;
   for (std::size_t index = 0; index < readings.size();) {
     const std::size_t rows = std::min(kRowsAtOnce, readings.size() - index);
     SqliteStatement statement = database.prepare(insert_readings(rows));
@@ -139,6 +140,12 @@ void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<cons
       const ReadingRow reading = row_of(readings, index, constants, origin_ns);
       bind_reading(statement, position, reading);
       link.add(reading);
+      if (std::exchange(skipped, reading.skipped) == reading.skipped) continue;
+      database.prepare("insert into reading_gap(dwell, k, skipped) values(:dwell, :k, :skipped)")
+          .set("dwell", dwell)
+          .set("k", reading.k)
+          .set("skipped", reading.skipped)
+          .run();
     }
     statement.run();
   }

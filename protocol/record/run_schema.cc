@@ -65,10 +65,28 @@ constexpr const char* kTablesOfVersion4 = R"(
 create table witness(id integer primary key, line text not null, signature blob not null);
 )";
 
-/// New in version 5.
-constexpr const char* kColumnsOfVersion5 = R"(
+/// New in version 5: faces; and the losses of a dwell have a table of their own, as they are rare and a
+/// column would make each reading longer. From reading k on `skipped` readings are missing.
+constexpr const char* kChangesOfVersion5 = R"(
 alter table plan add column face integer not null default 1;
 alter table dwell add column face integer not null default 1;
+create table reading_gap(dwell integer not null references dwell, k integer not null, skipped integer not null,
+                         primary key(dwell, k)) without rowid;
+insert into reading_gap
+  select dwell, k, skipped
+    from (select dwell, k, skipped, lag(skipped, 1, 0) over (partition by dwell order by k) as before from reading)
+    where skipped <> before;
+drop view timed_reading;
+alter table reading drop column skipped;
+create view timed_reading as
+  select r.dwell, r.k,
+         d.first_sequence + r.k + coalesce((select g.skipped from reading_gap g where g.dwell = r.dwell and g.k <= r.k
+                                              order by g.k desc limit 1), 0) as sequence,
+         d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns,
+         s.begun_utc_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as utc_ns,
+         (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s,
+         r.u, r.v, r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as temperature_degc
+  from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session;
 )";
 
 /// A program that was killed may leave a change half made, which a read-only connection cannot take back.
@@ -96,7 +114,7 @@ void create_run_schema(SqliteDatabase& database) {
   database.execute(kTablesOfVersion2);
   database.execute(kTablesOfVersion3);
   database.execute(kTablesOfVersion4);
-  database.execute(kColumnsOfVersion5);
+  database.execute(kChangesOfVersion5);
 }
 
 std::int64_t run_file_version(SqliteDatabase& database) {
@@ -104,6 +122,10 @@ std::int64_t run_file_version(SqliteDatabase& database) {
 }
 
 bool has_faces(SqliteDatabase& database) {
+  return run_file_version(database) >= 5;
+}
+
+bool has_reading_gaps(SqliteDatabase& database) {
   return run_file_version(database) >= 5;
 }
 
@@ -207,16 +229,21 @@ void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& p
                     path.string(), version, kRunFileVersion));
   }
   Transaction transaction(database);
-  if (version < 3) upgrade_run_schema_2_to_3(database);
-  if (version < 4) upgrade_run_schema_3_to_4(database);
-  upgrade_run_schema_4_to_5(database);
+  if (version < 3) {
+    upgrade_run_schema_2_to_5(database);
+  } else {
+    if (version < 4) upgrade_run_schema_3_to_4(database);
+    upgrade_run_schema_4_to_5(database);
+  }
   transaction.commit();
 }
 
-void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
+void upgrade_run_schema_2_to_5(SqliteDatabase& database) {
   database.execute("alter table dwell rename to dwell_2; alter table reading rename to reading_2;");
   database.execute(kTablesOfVersion3);
-  mark_version(database, 3);
+  database.execute(kTablesOfVersion4);
+  database.execute(kChangesOfVersion5);
+  mark_version(database, 5);
   database.execute("insert or replace into meta(key, value) values('schema', 'abcal.run/3')");
   database
       .prepare(
@@ -251,7 +278,7 @@ void upgrade_run_schema_3_to_4(SqliteDatabase& database) {
 }
 
 void upgrade_run_schema_4_to_5(SqliteDatabase& database) {
-  database.execute(kColumnsOfVersion5);
+  database.execute(kChangesOfVersion5);
   mark_version(database, 5);
 }
 

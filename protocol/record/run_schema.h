@@ -23,6 +23,10 @@ std::int64_t run_file_version(SqliteDatabase& database);
 /// Whether plan and dwells of an open run file say of which face they are (since version 5).
 bool has_faces(SqliteDatabase& database);
 
+/// Whether the losses within a dwell of an open run file are in the table reading_gap (since version 5),
+/// before in a column of `reading`.
+bool has_reading_gaps(SqliteDatabase& database);
+
 /// Opens a run file of any version up to the present, without checking for damage, which takes as long as
 /// reading all of it.
 /// @throws RunFileError if it is no run file, or is newer than this program
@@ -43,9 +47,9 @@ bool begins_as_sqlite(const std::filesystem::path& path);
 /// @throws RunFileError for a version that cannot be continued
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path);
 
-/// The step from version 2 to 3, within a transaction. The dwells become those of one session, with the times
+/// The step from version 2 to 5, within a transaction. The dwells become those of one session, with the times
 /// that version 2 gave them: pauses between its sessions are not in them.
-void upgrade_run_schema_2_to_3(SqliteDatabase& database);
+void upgrade_run_schema_2_to_5(SqliteDatabase& database);
 
 /// The step from version 3 to 4, within a transaction. The links stay valid: meta `schema` stays as it was.
 void upgrade_run_schema_3_to_4(SqliteDatabase& database);

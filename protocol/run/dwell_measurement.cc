@@ -8,6 +8,7 @@
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/planned_dwell.h"
 #include "protocol/run/dwell.h"
+#include "protocol/run/sampling_times.h"
 
 namespace abcal {
 namespace {
@@ -16,6 +17,13 @@ namespace {
 constexpr std::uint32_t kTransientFlags = kFlagNotQuiet | kFlagStuck | kFlagOutsideWindow;
 /// Interval between two readings of the temperature while the run waits for it.
 constexpr Clock::Duration kTemperatureInterval = std::chrono::seconds(5);
+
+/// Keeps the delays of this computer out of the times of a stream's readings.
+void place_at_sampling_times(std::vector<Reading>& readings, const AccelerometerInfo& info) {
+  if (!(info.rate_hz > 0.0)) return;  // They were made on demand.
+  if (const auto times = fit_sampling_times(readings))
+    for (Reading& reading : readings) reading.arrival = times->of(reading.sequence);
+}
 
 }  // namespace
 
@@ -135,6 +143,7 @@ void DwellMeasurement::read(const ItemChannels::Channels& pending, Windows& wind
         readings_per_dwell(context_.settings.protocol, channel.context.accelerometer_info.rate_hz)));
     const std::uint64_t first = window.readings.front().sequence;
     if (!channel.settling.read_until_at_rest(window.readings)) window.quiet = false;
+    place_at_sampling_times(window.readings, channel.context.accelerometer_info);
     if (window.readings.front().sequence != first) window.begin = window.readings.front().arrival;
     window.lost = channel.readings.lost() - window.lost;
     // Beside other items it may have waited for its turn.

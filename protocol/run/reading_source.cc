@@ -11,8 +11,9 @@
 namespace abcal {
 namespace {
 
-/// Longest wait for one of several items before the others are polled.
-constexpr Clock::Duration kSliceBesideOthers = std::chrono::milliseconds(5);
+/// Time between two looks at the other items. Their drivers know when each reading arrived, however late it
+/// is taken.
+constexpr Clock::Duration kLookAtOthers = std::chrono::milliseconds(20);
 /// Largest number of readings kept for an item that is not read; older ones are dropped.
 constexpr std::size_t kMostWaiting = 65536;
 
@@ -38,17 +39,25 @@ Reading ReadingSource::read_one() {
   while (true) {
     clock.throw_if_stopped();
     const Clock::Instant now = clock.now();
-    const Clock::Duration slice = others_.empty() ? StoppableClock::kSlice : kSliceBesideOthers;
+    const Clock::Duration slice = others_.empty() ? StoppableClock::kSlice : kLookAtOthers;
     auto reading = accelerometer_.next(std::min(deadline, now + slice));
-    for (ReadingSource* other : others_) other->take_waiting();
+    look_at_others();
     if (reading) return *std::move(reading);
-    if (clock.now() >= deadline) {
+    if (now >= deadline) {  // It was asked after the deadline, and had nothing.
       throw InstrumentError(context_.accelerometer_name(), Fault::kNoReply,
                             fmt::format("no reading for {} s (reading_timeout_s), after {} readings. Check "
                                         "the cable, the supply, and whether another program has stopped it",
                                         timeout_s, accelerometer_.health().readings));
     }
   }
+}
+
+void ReadingSource::look_at_others() {
+  if (others_.empty()) return;
+  const Clock::Instant now = context_.clock.now();
+  if (now < next_look_) return;
+  for (ReadingSource* other : others_) other->take_waiting();
+  next_look_ = now + kLookAtOthers;
 }
 
 void ReadingSource::take_waiting() {

@@ -14,7 +14,7 @@ namespace abcal {
 /// The readings of an accelerometer, one after the other; a silent accelerometer is an error.
 ///
 /// One thread reads several items at once: while it waits for one, the readings of the others are taken from
-/// their drivers and kept until they are read.
+/// their drivers every 20 ms and kept until they are read.
 class ReadingSource {
  public:
   /// Both must outlive this.
@@ -43,11 +43,13 @@ class ReadingSource {
 
  private:
   Reading read_one();
+  void look_at_others();
   void take_waiting();
 
   const RunContext& context_;
   Accelerometer& accelerometer_;
   std::vector<ReadingSource*> others_;
+  Clock::Instant next_look_;
   std::deque<Reading> waiting_;             ///< Taken while another item was read.
   std::optional<InstrumentError> failure_;  ///< Thrown after the readings in waiting_.
 };

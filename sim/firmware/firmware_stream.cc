@@ -17,17 +17,14 @@ std::optional<Clock::Instant> FirmwareStream::collect(Clock::Instant now) {
   auto due = firmware_->next_due();
   // Instant by instant, so that the arrival of the last byte is known.
   for (; due && *due <= now; due = firmware_->next_due()) {
-    if (buffer_.empty()) {
-      buffer_ = firmware_->transmit(*due);
-    } else {
-      buffer_ += firmware_->transmit(*due);
-    }
     last_arrival_ = std::max(last_arrival_, *due);
+    waiting_.append(firmware_->transmit(*due), last_arrival_);
     // Trimmed by a quarter at a time: dropping each byte as it overflows would move the whole buffer every
     // time.
-    if (buffer_.size() > capacity_) {
-      const std::size_t surplus = std::min(buffer_.size(), buffer_.size() - capacity_ + capacity_ / 4);
-      buffer_.erase(0, surplus);
+    const std::size_t size = waiting_.bytes.size();
+    if (size > capacity_) {
+      const std::size_t surplus = std::min(size, size - capacity_ + capacity_ / 4);
+      waiting_.drop_front(surplus);
       dropped_ += surplus;
     }
   }
@@ -48,7 +45,7 @@ wire::ReceivedBytes FirmwareStream::read_until(Clock::Instant deadline) {
       const std::lock_guard lock(mutex_);
       const Clock::Instant now = clock_.now();
       const auto due = collect(now);
-      if (!buffer_.empty()) return {std::exchange(buffer_, {}), last_arrival_};
+      if (!waiting_.bytes.empty()) return std::exchange(waiting_, {});
       if (now >= deadline) return {{}, now};
       if (due) next = std::min(deadline, *due);
     }
@@ -59,14 +56,14 @@ wire::ReceivedBytes FirmwareStream::read_until(Clock::Instant deadline) {
 void FirmwareStream::discard_input() {
   const std::lock_guard lock(mutex_);
   collect(clock_.now());
-  buffer_.clear();
+  waiting_ = {};
 }
 
 void FirmwareStream::power(bool on) {
   const std::lock_guard lock(mutex_);
   const Clock::Instant now = clock_.now();
   collect(now);
-  buffer_.clear();
+  waiting_ = {};
   firmware_->power(on, now);
 }
 

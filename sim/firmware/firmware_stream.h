@@ -38,7 +38,7 @@ class FirmwareStream final : public wire::ByteStream {
   Clock& clock_;
   std::string name_;
   std::size_t capacity_;
-  std::string buffer_;
+  wire::ReceivedBytes waiting_;
   Clock::Instant last_arrival_;
   std::size_t dropped_ = 0;
   mutable std::mutex mutex_;

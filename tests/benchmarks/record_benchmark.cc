@@ -20,14 +20,13 @@ using namespace abcal;
 std::vector<StoredReading> correlated_readings(std::size_t count, double correlation) {
   std::mt19937_64 engine(1);
   std::normal_distribution<double> normal;
-  std::uniform_int_distribution<int> late_ns(0, 3'000'000);
   std::vector<StoredReading> readings(count);
   Eigen::Vector3d noise = Eigen::Vector3d::Zero();
   for (std::size_t k = 0; k < count; ++k) {
     for (double& value : noise)
       value = correlation * value + std::sqrt(1.0 - correlation * correlation) * normal(engine);
     readings[k].sequence = k;
-    readings[k].time_s = (1e6 * static_cast<double>(k) + late_ns(engine)) / 1e9;
+    readings[k].time_s = 1e-3 * static_cast<double>(k);
     readings[k].output = 1e-4 * noise;
     readings[k].temperature_degc = static_cast<double>(static_cast<float>(23.0 + 1e-3 * noise[0]));
   }

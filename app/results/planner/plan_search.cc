@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace abcal {
 
@@ -55,16 +56,31 @@ const PlanPrediction& PlanSearch::predicted(Circles circles, int readings) {
 }
 
 std::optional<int> PlanSearch::least_readings(Circles circles, const WantedValues& wanted) {
-  const auto reaches = [&](int readings) {
-    return worst_ratio(predicted(circles, readings).u, wanted) <= 1.0;
+  // Against the logarithm of the readings that of u is nearly a straight line, down to its floor: the
+  // Illinois method (false position with halved weights, Dowell & Jarratt 1971) needs few predictions.
+  const auto excess = [&](int readings) {
+    return std::log(worst_ratio(predicted(circles, readings).u, wanted));
   };
-  if (!reaches(kMostReadings)) return std::nullopt;
-  int too_few = kLeastReadings - 1, enough = kMostReadings;
+  int too_few = kLeastReadings, enough = kMostReadings;
+  double excess_of_few = excess(too_few), excess_of_enough = excess(enough);
+  if (excess_of_enough > 0.0) return std::nullopt;
+  if (excess_of_few <= 0.0) return too_few;
+  int moved = 0;  // The end that moved last: -1, 1.
   // To 1 % of the dwell: the uncertainty is not known better.
   while (enough - too_few > 1 + enough / 100) {
-    const int middle = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(too_few) * enough)),
-                                  too_few + 1, enough - 1);
-    (reaches(middle) ? enough : too_few) = middle;
+    const double part = excess_of_few / (excess_of_few - excess_of_enough);
+    const double readings = too_few * std::pow(static_cast<double>(enough) / too_few, part);
+    const int middle = std::clamp(static_cast<int>(readings), too_few + 1, enough - 1);
+    const double excess_of_middle = excess(middle);
+    if (excess_of_middle <= 0.0) {
+      enough = middle;
+      excess_of_enough = excess_of_middle;
+      if (std::exchange(moved, 1) == 1) excess_of_few /= 2.0;
+    } else {
+      too_few = middle;
+      excess_of_few = excess_of_middle;
+      if (std::exchange(moved, -1) == -1) excess_of_enough /= 2.0;
+    }
   }
   return enough;
 }

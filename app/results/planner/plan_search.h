@@ -40,7 +40,7 @@ class PlanSearch {
   /// Predictions that a question usually needs.
   static constexpr int kPredictionsOfBestWithin =
       static_cast<int>(kTriedSteps.size() + kTriedInTwoFaces.size());
-  static constexpr int kPredictionsOfShortest = 12 * kPredictionsOfBestWithin;
+  static constexpr int kPredictionsOfShortest = 6 * kPredictionsOfBestWithin;
 
   /// The shortest plan of kTriedSteps, or of kTriedInTwoFaces where the travel allows them, and any dwell
   /// whose predicted uncertainties are at most those wanted.

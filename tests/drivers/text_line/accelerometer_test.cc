@@ -106,6 +106,30 @@ TEST(TextLineAccelerometerTest, GivesOutputsInTheUnitOfTheBenchFile) {
   EXPECT_EQ(bench.accelerometer->health().readings, 1U) << "those before the start do not count";
 }
 
+TEST(TextLineAccelerometerTest, ReadingsThatWaitedHaveTheTimesAtWhichTheyCame) {
+  sim::SimClock clock;
+  const auto bench = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+  sim::TextLineSettings printed;
+  printed.rate_hz = 200.0;
+  const auto board = std::make_shared<sim::TextLineFirmware>(bench, printed);
+  AccelerometerSettings settings;
+  settings.rate_hz = 200.0;
+  TextLineAccelerometer accelerometer(std::make_unique<sim::FirmwareStream>(board, clock), clock, settings);
+  accelerometer.start();
+  accelerometer.discard_pending();
+  const Clock::Instant begin = clock.now();
+  clock.sleep_until(begin + seconds(1));
+  const Clock::Instant end = clock.now();
+  Clock::Instant last = begin;
+  for (int n = 1; n <= 200; ++n) {
+    const auto reading = accelerometer.next(end);
+    ASSERT_TRUE(reading) << n;
+    EXPECT_EQ(reading->arrival, n == 1 ? reading->arrival : last + milliseconds(5)) << n;
+    last = reading->arrival;
+  }
+  EXPECT_GT(last, end - milliseconds(5));
+}
+
 TEST(TextLineAccelerometerTest, DeliversNumbersThatAreNone) {
   Bench bench;
   bench.start();

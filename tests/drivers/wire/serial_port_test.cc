@@ -118,6 +118,49 @@ TEST_F(SerialPortTest, WhatTheSystemHoldsHasComeHoweverLateTheThreadThatFetchesI
   EXPECT_EQ(port.read_until(clock.now()).bytes.substr(0, 1), "a");
 }
 
+TEST_F(SerialPortTest, BytesThatWaitForABusyReaderKeepTheirTimesOfArrival) {
+  SerialPort port({.path = terminal_.path(), .baud = 115200, .rts_cts = false}, clock_);
+  const auto send = [&](const std::string& bytes) {
+    terminal_.write(bytes);
+    int waiting = 0;  // The bytes pass to the terminal, and from there to the program.
+    const Clock::Instant later = clock_.now() + 20ms;
+    while (clock_.now() < later || (::ioctl(port.descriptor(), FIONREAD, &waiting) == 0 && waiting > 0))
+      std::this_thread::yield();
+    return clock_.now();
+  };
+  const Clock::Instant before = clock_.now();
+  const Clock::Instant between = send("ab");
+  const Clock::Instant after = send("cde");
+  const ReceivedBytes received = port.read_until(clock_.now());
+  EXPECT_EQ(received.bytes, "abcde");
+  ASSERT_EQ(received.groups.size(), 2U);
+  EXPECT_EQ(received.groups[0].count, 2U);
+  EXPECT_EQ(received.groups[1].count, 3U);
+  EXPECT_TRUE(before <= received.groups[0].arrival && received.groups[0].arrival <= between);
+  EXPECT_TRUE(between <= received.arrival && received.arrival <= after);
+}
+
+TEST_F(SerialPortTest, APortThatClosesDoesNotDisturbTheOthers) {
+  test::PseudoTerminal other_terminal;
+  SerialPort other({.path = other_terminal.path(), .baud = 115200, .rts_cts = false}, clock_);
+  std::atomic<bool> over = false;
+  auto stream = std::async(std::launch::async, [&] {
+    for (int i = 0; !over; ++i) other_terminal.write(std::string(1, static_cast<char>('a' + i % 26)));
+  });
+  for (int i = 0; i < 20; ++i) {
+    SerialPort port({.path = terminal_.path(), .baud = 115200, .rts_cts = false}, clock_);
+    terminal_.write("x");
+    EXPECT_EQ(read_all(port, 1), "x");
+  }
+  over = true;
+  stream.get();
+  std::string streamed;
+  for (std::string more = "-"; !more.empty(); streamed += more)
+    more = other.read_until(clock_.now() + 50ms).bytes;
+  for (std::size_t i = 0; i < streamed.size(); ++i)
+    ASSERT_EQ(streamed[i], static_cast<char>('a' + i % 26)) << i;
+}
+
 TEST_F(SerialPortTest, OpensALinkToAPseudoTerminalAndTakesFlowControl) {
   const std::string link = folder_ / "stage";
   fs::create_symlink(terminal_.path(), link);

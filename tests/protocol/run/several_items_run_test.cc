@@ -152,6 +152,58 @@ TEST_F(SeveralItemsRunTest, ASilentItemIsLeftOutAndTheOthersKeepTheAngle) {
                                               HasSubstr("no reading for 2 s"), HasSubstr("other 2")));
 }
 
+/// An accelerometer whose driver is held up once, as on a computer that has far more to do than it can.
+class HeldUpAccelerometer final : public Accelerometer {
+ public:
+  HeldUpAccelerometer(Accelerometer& inner, sim::SimClock& clock) : inner_(inner), clock_(clock) {}
+  AccelerometerInfo identify() override { return inner_.identify(); }
+  void start() override { inner_.start(); }
+  std::optional<Reading> next(Clock::Instant deadline) override {
+    const bool is_look_beside_another = deadline <= clock_.now();
+    if (is_look_beside_another && clock_.now() >= from) {
+      held_up = true;
+      from = Clock::Instant::max();
+      clock_.sleep_until(clock_.now() + from_seconds(3.0));
+    }
+    return inner_.next(deadline);
+  }
+  void discard_pending() override { inner_.discard_pending(); }
+  StreamHealth health() const override { return inner_.health(); }
+  void stop() noexcept override { inner_.stop(); }
+
+  Clock::Instant from;
+  bool held_up = false;
+
+ private:
+  Accelerometer& inner_;
+  sim::SimClock& clock_;
+};
+
+TEST_F(SeveralItemsRunTest, NoItemIsLeftOutWhileItsReadingsWaitForAProgramThatWasHeldUp) {
+  // Longer than reading_timeout_s, while the first item, which makes 20 readings a second, is waited for.
+  accelerometers[0] = std::make_unique<sim::SimAccelerometer>(worlds[0], clock, 20.0, "g", "SIM-2");
+  sim::SimAccelerometer slow(worlds[1], clock, 20.0, "g", "SIM-3");
+  HeldUpAccelerometer second(slow, clock);
+  second.from = at(30.0);
+  sim::SimStage stage(worlds.front(), clock);
+  RunHeader header;
+  header.plan = make_rotation_plan(settings.protocol, {});
+  header.items.emplace_back().k = 1;
+  header.items.emplace_back().k = 2;
+  header.further_items.emplace_back();
+  RunInstruments instruments{stage, clock, {}, true};
+  instruments.items.push_back(
+      {1, *accelerometers[0], settings.limits, settings.tolerances, settings.expected});
+  instruments.items.push_back({2, second, settings.limits, settings.tolerances, settings.expected});
+  {
+    RunFile file = RunFile::create(folder / "a.run", header);
+    run_experiments(instruments, {header.plan, settings, {}}, file, observer, {});
+  }
+  EXPECT_TRUE(second.held_up);
+  EXPECT_THAT(observer.dropped, testing::IsEmpty());
+  for (const int k : {1, 2}) EXPECT_EQ(stored(k).dwells.size(), header.plan.size()) << k;
+}
+
 TEST_F(SeveralItemsRunTest, AnItemThatTurnsOnItsMountEndsTheRun) {
   sim::OutputTruth loose = worlds[2]->output_truth(clock.now());
   loose.sensitivity_matrix =
