@@ -460,7 +460,7 @@ TEST_F(ReportTest, AnInterruptedRunSaysSoOnTop) {
 }
 
 TEST_F(ReportTest, AVerdictThatIsNotUsableHasNoNumbersAndExitsWith1) {
-  interrupted_run(70'000);  // not even the first experiment
+  interrupted_run(80'000);  // not even the first experiment
   const ProgramResult result = abcal({"report", "a.run", "--html", "a.html", "--json"});
   EXPECT_EQ(result.exit_code, 1);
   const nlohmann::json report = nlohmann::json::parse(result.out);

@@ -415,17 +415,31 @@ TEST_F(RunFile3Test, AChangedReadingDwellSessionOrPlanBreaksTheChain) {
   }
 }
 
-// Files of version 4 lack the columns `face`; face 1 adds nothing to the links, so that they stay valid.
+// Files of version 4 lack the columns `face`, and have the losses in a column of `reading`. Face 1 adds
+// nothing to the links, and a loss the same as before, so that they stay valid.
 TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
+  const std::vector<StoredReading> readings = late_readings(20, 1.0);
   {
     RunFile file = RunFile::create(path, plan_of_two());
     file.begin_session(start_after(0s));
     append(file, 0, 1.0);
   }
+  EXPECT_EQ(reader().value("select group_concat(k || ' ' || skipped) from reading_gap"), "11 3");
   {
     SqliteDatabase database(path, SqliteDatabase::Mode::kReadWrite);
     database.execute("pragma journal_mode=delete");
-    database.execute("alter table plan drop column face; alter table dwell drop column face");
+    database.execute(
+        "alter table plan drop column face; alter table dwell drop column face; drop view timed_reading;"
+        "alter table reading add column skipped integer; update reading set skipped = case when k < 7 then 0 "
+        "when k "
+        "< 15 then 3 else 4 end; drop table reading_gap;"
+        "create view timed_reading as select r.dwell, r.k, d.first_sequence + r.k + r.skipped as sequence,"
+        " d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns,"
+        " s.begun_utc_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as utc_ns,"
+        " (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s, r.u, "
+        "r.v,"
+        " r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as temperature_degc"
+        " from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session");
     database.execute("pragma user_version = 4");
   }
   const auto expect_one_face = [&](std::size_t dwells) {
@@ -434,6 +448,11 @@ TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
     for (const DwellRecord& dwell : run.record.dwells) EXPECT_EQ(dwell.face, 1);
     for (const PlannedAngle& angle : run.header.plan) EXPECT_EQ(angle.face, 1);
     EXPECT_TRUE(found("dwells").good) << found("dwells").found;
+    bool first = true;
+    RunFile::read_dwells(path, [&](const StoredDwell& dwell) {
+      if (!std::exchange(first, false)) return;
+      for (std::size_t k = 0; k < 20; ++k) EXPECT_EQ(dwell.readings[k].sequence, readings[k].sequence) << k;
+    });
   };
   expect_one_face(1);
   EXPECT_EQ(reader().value("pragma user_version"), "4");
