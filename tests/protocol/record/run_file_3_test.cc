@@ -430,16 +430,13 @@ TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
     database.execute("pragma journal_mode=delete");
     database.execute(
         "alter table plan drop column face; alter table dwell drop column face; drop view timed_reading;"
-        "alter table reading add column skipped integer; update reading set skipped = case when k < 7 then 0 "
-        "when k "
-        "< 15 then 3 else 4 end; drop table reading_gap;"
+        "alter table reading add column skipped integer;"
+        "update reading set skipped = case when k < 11 then 0 else 3 end; drop table reading_gap;"
         "create view timed_reading as select r.dwell, r.k, d.first_sequence + r.k + r.skipped as sequence,"
-        " d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns,"
-        " s.begun_utc_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as utc_ns,"
-        " (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s, r.u, "
-        "r.v,"
-        " r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as temperature_degc"
-        " from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session");
+        " d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns, 0 as utc_ns,"
+        " (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s,"
+        " r.u, r.v, r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as"
+        " temperature_degc from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session");
     database.execute("pragma user_version = 4");
   }
   const auto expect_one_face = [&](std::size_t dwells) {
