@@ -17,9 +17,15 @@ namespace abcal::wire {
 using boost::asio::ip::tcp;
 
 struct TcpStream::Impl {
-  Impl(const std::string& host, std::uint16_t port, Clock& clock, Clock::Duration connect_timeout,
-       std::size_t queue_bytes, const std::string& holder)
-      : socket(io), link(fmt::format("tcp:{}:{}", host, port), clock, queue_bytes) {
+  struct Address {
+    std::string host;
+    std::uint16_t port = 0;
+  };
+
+  Impl(const Address& address, Clock& clock, Clock::Duration connect_timeout, std::size_t queue_bytes,
+       const std::string& holder)
+      : socket(io), link(fmt::format("tcp:{}:{}", address.host, address.port), clock, queue_bytes) {
+    const auto& [host, port] = address;
     boost::system::error_code outcome = boost::asio::error::timed_out;  // Until something better is known.
     bool host_found = false;
     tcp::resolver resolver(io);
@@ -41,15 +47,15 @@ struct TcpStream::Impl {
               [&](const boost::system::error_code& result, const tcp::endpoint&) { outcome = result; });
         });
     io.run_for(connect_timeout);
-    if (outcome) cannot_connect(host, port, host_found, outcome, connect_timeout);
+    if (outcome) cannot_connect(address, host_found, outcome, connect_timeout);
     socket.set_option(tcp::no_delay(true));
     // A controller that lost its power leaves no trace on an idle connection otherwise.
     socket.set_option(boost::asio::socket_base::keep_alive(true));
     link.start(socket.native_handle());
   }
 
-  [[noreturn]] void cannot_connect(const std::string& host, std::uint16_t port, bool host_found,
-                                   boost::system::error_code error, Clock::Duration connect_timeout) {
+  [[noreturn]] void cannot_connect(const Address& address, bool host_found, boost::system::error_code error,
+                                   Clock::Duration connect_timeout) {
     // The pending connect refers to the constructor's locals: let it end before they do.
     boost::system::error_code ignored;
     socket.close(ignored);
@@ -60,9 +66,9 @@ struct TcpStream::Impl {
       why = fmt::format("no answer within {} s; is the controller on, and connected to this network?",
                         to_seconds(connect_timeout));
     } else if (!host_found) {
-      why = fmt::format("host \"{}\" is unknown ({})", host, error.message());
+      why = fmt::format("host \"{}\" is unknown ({})", address.host, error.message());
     } else if (error == boost::asio::error::connection_refused) {
-      why = fmt::format("the host answers, but nothing listens on port {}", port);
+      why = fmt::format("the host answers, but nothing listens on port {}", address.port);
     } else {
       why = error.message();
     }
@@ -77,7 +83,7 @@ struct TcpStream::Impl {
 
 TcpStream::TcpStream(const std::string& host, std::uint16_t port, Clock& clock,
                      Clock::Duration connect_timeout, std::size_t queue_bytes, const std::string& holder)
-    : impl_(std::make_unique<Impl>(host, port, clock, connect_timeout, queue_bytes, holder)) {}
+    : impl_(std::make_unique<Impl>(Impl::Address{host, port}, clock, connect_timeout, queue_bytes, holder)) {}
 
 TcpStream::~TcpStream() = default;
 
