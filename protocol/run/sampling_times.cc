@@ -38,8 +38,8 @@ std::vector<Point> lower_hull(const std::vector<Point>& points) {
   return hull;
 }
 
-/// The slope of the edge above the mean number: of all lines below the points it has the least sum of
-/// distances.
+/// The slope of the hull's edge at the mean number: of all lines below the points the one along this edge has
+/// the least sum of distances.
 double period_ns(const std::vector<Point>& points) {
   double mean = 0.0;
   for (const Point& point : points) mean += point.number / static_cast<double>(points.size());

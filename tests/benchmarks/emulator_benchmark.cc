@@ -10,7 +10,6 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
-#include <sys/resource.h>
 #include <sys/socket.h>
 #include <termios.h>
 #include <unistd.h>
@@ -22,6 +21,7 @@
 #include <string>
 #include <vector>
 
+#include "tests/support/processor_time.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
@@ -41,15 +41,6 @@ constexpr std::size_t kTimeAt = 20;
 
 double seconds_between(steady_clock::time_point from, steady_clock::time_point to) {
   return std::chrono::duration<double>(to - from).count();
-}
-
-double cpu_of_children_s() {
-  rusage usage{};
-  ::getrusage(RUSAGE_CHILDREN, &usage);
-  const auto seconds = [](const timeval& t) {
-    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
-  };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
 }
 
 /// A connection to a port of this machine.
@@ -207,7 +198,7 @@ void BM_EightBenches(benchmark::State& state) {
     std::vector<std::unique_ptr<ServedBench>> benches;
     for (int n = 0; n < kBenches; ++n) benches.push_back(serve(folder, n, speed, state.range(1) != 0));
     listen(benches, speed);
-    const double cpu_before_s = cpu_of_children_s();
+    const double cpu_before_s = test::processor_seconds(RUSAGE_CHILDREN);
     std::vector<double> late_ms;
     std::vector<double> answers_ms;
     std::size_t lost = 0;
@@ -235,7 +226,8 @@ void BM_EightBenches(benchmark::State& state) {
     state.counters["answer_p50_ms"] = quantile(answers_ms, 0.5);
     state.counters["answer_max_ms"] = quantile(answers_ms, 1.0);
     // Processor time of all eight, including their start.
-    state.counters["cpu_percent"] = 100.0 * (cpu_of_children_s() - cpu_before_s) / listened_s;
+    state.counters["cpu_percent"] =
+        100.0 * (test::processor_seconds(RUSAGE_CHILDREN) - cpu_before_s) / listened_s;
   }
 }
 BENCHMARK(BM_EightBenches)

@@ -4,7 +4,6 @@
 
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>
-#include <sys/resource.h>
 
 #include <algorithm>
 #include <chrono>
@@ -16,21 +15,13 @@
 
 #include "protocol/record/run_file.h"
 #include "protocol/record/sqlite.h"
+#include "tests/support/processor_time.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
 namespace {
 
 using namespace abcal;
-
-double cpu_of_children_s() {
-  rusage usage{};
-  ::getrusage(RUSAGE_CHILDREN, &usage);
-  const auto seconds = [](const timeval& t) {
-    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
-  };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
-}
 
 struct Tray {
   int items = 0;
@@ -113,10 +104,10 @@ void rates(benchmark::State& state) {
     if (!test::wait_for([&] { return emulator.out().find("Serving") != std::string::npos; },
                         std::chrono::seconds(60)))
       return state.SkipWithError("the emulator does not serve");
-    const double cpu_before_s = cpu_of_children_s();
+    const double cpu_before_s = test::processor_seconds(RUSAGE_CHILDREN);
     test::Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
     run.wait();
-    const double cpu_s = cpu_of_children_s() - cpu_before_s;
+    const double cpu_s = test::processor_seconds(RUSAGE_CHILDREN) - cpu_before_s;
     if (!std::filesystem::exists(folder / "a.run") ||
         RunFile::load(folder / "a.run").state != RunState::kComplete)
       return state.SkipWithError(run.err().c_str());

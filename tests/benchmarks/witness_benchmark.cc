@@ -2,7 +2,6 @@
 // time of the wall is mostly that of the disk, which is the one of the folder for temporary files (TMPDIR).
 
 #include <benchmark/benchmark.h>
-#include <sys/resource.h>
 
 #include <chrono>
 #include <filesystem>
@@ -15,6 +14,7 @@
 #include "app/ground/system/private_file.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/signature.h"
+#include "tests/support/processor_time.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
@@ -45,22 +45,12 @@ void BM_LinkInTheLog(benchmark::State& state) {
 }
 BENCHMARK(BM_LinkInTheLog)->MeasureProcessCPUTime()->UseRealTime()->Unit(benchmark::kMicrosecond);
 
-/// Processor time of the programs that this one has started and that have ended.
-double children_s() {
-  rusage usage{};
-  ::getrusage(RUSAGE_CHILDREN, &usage);
-  const auto seconds = [](const timeval& time) {
-    return static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_usec);
-  };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
-}
-
 /// The processor time is that of the run's process; "witness_us" that of the witness, its start included.
 void BM_LinkBesideARun(benchmark::State& state) {
   set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
   const test::TemporaryFolder folder;
   write_private_file(folder / "key.pem", make_private_key());
-  const double before_s = children_s();
+  const double before_s = test::processor_seconds(RUSAGE_CHILDREN);
   std::optional<WitnessClient> client(std::in_place, folder / "key.pem", folder / "witness.db",
                                       WitnessClient::Limits{});
   (void)client->begin("run-1", "left", "A. B.", link_of(0), false);
@@ -74,7 +64,8 @@ void BM_LinkBesideARun(benchmark::State& state) {
     }
   }
   client.reset();
-  state.counters["witness_us"] = 1e6 * (children_s() - before_s) / static_cast<double>(k);
+  state.counters["witness_us"] =
+      1e6 * (test::processor_seconds(RUSAGE_CHILDREN) - before_s) / static_cast<double>(k);
 }
 BENCHMARK(BM_LinkBesideARun)->MeasureProcessCPUTime()->UseRealTime()->Unit(benchmark::kMicrosecond);
 

@@ -6,7 +6,6 @@
 #include <netinet/in.h>
 #include <poll.h>
 #include <sys/ioctl.h>
-#include <sys/resource.h>
 #include <sys/socket.h>
 #include <termios.h>
 #include <unistd.h>
@@ -25,6 +24,7 @@
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
+#include "tests/support/processor_time.h"
 
 namespace abcal::sim {
 namespace {
@@ -447,15 +447,6 @@ TEST_F(EmulatorTest, StopsAtOnceAndMayRunAgain) {
   EXPECT_EQ(client.ask("CSV?\n", 4), kVersion);
 }
 
-double cpu_seconds() {
-  rusage usage{};
-  ::getrusage(RUSAGE_SELF, &usage);
-  const auto in_seconds = [](const timeval& t) {
-    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
-  };
-  return in_seconds(usage.ru_utime) + in_seconds(usage.ru_stime);
-}
-
 TEST_F(EmulatorTest, AStreamOfOneKilohertzCostsLittleAndLosesNothing) {
   const std::string format("\x75\x65\x0C\x08\x08\x0F\x01\x80\x01\x04\x00\x01", 12);
   unsigned a = 0;
@@ -470,11 +461,11 @@ TEST_F(EmulatorTest, AStreamOfOneKilohertzCostsLittleAndLosesNothing) {
     return bytes;
   };
   pass(100);
-  const double before = cpu_seconds();
+  const double before = test::processor_seconds(RUSAGE_SELF);
   const auto start = std::chrono::steady_clock::now();
   const std::size_t bytes = pass(1000 * 20);
   const double elapsed_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const double share = (cpu_seconds() - before) / elapsed_s;
+  const double share = (test::processor_seconds(RUSAGE_SELF) - before) / elapsed_s;
   EXPECT_GE(bytes, 20000U);
   EXPECT_EQ(emulator->dropped_bytes(), 0U);
   RecordProperty("cpu_per_cent_of_a_core", static_cast<int>(100.0 * share));

@@ -398,7 +398,8 @@ TEST_F(RunFile3Test, AChangedReadingDwellSessionOrPlanBreaksTheChain) {
   EXPECT_TRUE(found("dwells").good) << found("dwells").found;
   for (const char* sql :
        {"update reading set u = u + 1e-9 where dwell = 1 and k = 3",
-        "delete from reading where dwell = 1 and k = 19", "update dwell set r_u = r_u + 1e-9 where id = 1",
+        "delete from reading where dwell = 1 and k = 19", "update reading_gap set skipped = 4",
+        "delete from reading_gap", "update dwell set r_u = r_u + 1e-9 where id = 1",
         "update session set begun_utc_ns = begun_utc_ns + 1",
         "update plan set alpha_deg = 1.0 where position = 0", "update item set serial_number = '78'",
         "update meta set value = '9.9' where key = 'g_loc.value_mps2'",
