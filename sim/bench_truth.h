@@ -56,6 +56,9 @@ struct AxisTruth {
   Angle travel_max = Angle::degrees(360.0);
   double speed_deg_per_s = 20.0;
   double acceleration_deg_per_s2 = 80.0;
+  /// 1: standard deviation of each coefficient of six harmonics of the rate while the axis turns; the encoder
+  /// sees them.
+  double rate_ripple = 0.0;
   Angle encoder_resolution = Angle::degrees(1e-4);
 
   bool operator==(const AxisTruth&) const = default;
@@ -108,6 +111,16 @@ struct OutputTruth {
   double quantisation = 0.0;  ///< R, step of the output; 0: none.
   double full_scale = std::numeric_limits<double>::infinity();  ///< R, where the output clips.
 
+  // Behaviour of the item where it turns.
+  double low_pass_hz = 0.0;          ///< Corner of a low-pass behind all bends of the outputs; 0: none.
+  int low_pass_order = 1;            ///< 1, or 2: two such filters, one behind the other.
+  double group_delay_s = 0.0;        ///< Further delay of all outputs.
+  double time_stamp_jitter_s = 0.0;  ///< Readings arrive late by this times |normal|.
+  Eigen::Vector3d rate_offset = Eigen::Vector3d::Zero();  ///< R at 60 deg/s about either axis.
+  /// Positions of the elements of u, v, w on the platter, mm: x, y from the Z axis, z from the X axis.
+  Eigen::Vector3d position_u_mm = Eigen::Vector3d::Zero(), position_v_mm = Eigen::Vector3d::Zero(),
+                  position_w_mm = Eigen::Vector3d::Zero();
+
   double ring_down_amplitude = 0.0;  ///< R per deg/s of the speed of the move that ended.
   double ring_down_frequency_hz = 25.0;
   double ring_down_decay_s = 0.05;  ///< Time constant.
@@ -156,6 +169,9 @@ struct StageTruth {
   double xz = 0.0;            ///< Vertical component of the X axis.
   double zx_per_degc = 0.0;   ///< Change of zx with the temperature on the platter, from temperature_degc on.
   AxisTruth x, z;
+  double axes_distance_mm = 0.0;   ///< From the X axis to the Z axis, along y where Z is at 0.
+  double encoder_latency_s = 0.0;  ///< An encoder says where its axis was this long ago,
+  double encoder_jitter_s = 0.0;   ///< and further by this times |normal|.
   /// The axes also stand at 90 and at 180 degrees (protocol of two faces): there AxisTruth::step_error_sd is
   /// drawn once for the pose of the axis, wherever the other axis is.
   bool stands_in_second_face = false;

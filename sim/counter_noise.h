@@ -22,6 +22,9 @@ enum class NoiseStream : std::uint64_t {
   kFloor = 13,
   kGrowth = 14,
   kKnock = 15,
+  kRipple = 16,
+  kEncoder = 17,
+  kTimeStamp = 18,
 };
 
 /// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and

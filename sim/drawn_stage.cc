@@ -38,6 +38,8 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
     for (const double each : {w.cos_1_urad, w.sin_1_urad, w.cos_2_urad, w.sin_2_urad})
       require(std::isfinite(each), name + ".wobble", each, "finite");
   }
+  require(axis.rate_ripple >= 0.0 && axis.rate_ripple < 0.1, name + ".rate_ripple", axis.rate_ripple,
+          "0 to 0.1");
   const auto positive = [](double value) { return value > 0.0 && std::isfinite(value); };
   require(axis.wobble_sd_urad >= 0.0 && std::isfinite(axis.wobble_sd_urad), name + ".wobble_sd_urad",
           axis.wobble_sd_urad, ">= 0");
@@ -120,6 +122,15 @@ DrawnStage::DrawnStage(StageTruth truth) : truth_(checked(std::move(truth))) {
                                          {k, static_cast<std::uint64_t>(order), 0, 0});
       harmonics_[k].push_back({order, a.smooth_error_sd * normal[0], a.smooth_error_sd * normal[1]});
     }
+    for (int order = 1; order <= kDrawnErrorOrders && a.rate_ripple > 0.0; ++order) {
+      for (std::size_t down = 0; down < 2; ++down) {
+        const auto normal = normal_numbers(truth_.seed, NoiseStream::kRipple,
+                                           {k, static_cast<std::uint64_t>(order), down, 0});
+        const double size_rad = a.rate_ripple / order;
+        ripple_[k][down].push_back(
+            {order, Angle::radians(size_rad * normal[0]), Angle::radians(size_rad * normal[1])});
+      }
+    }
     wobble_[k] = a.wobble;
     for (int order = 1; order <= kDrawnWobbleOrders && a.wobble_sd_urad > 0.0; ++order) {
       const auto normal =
@@ -169,6 +180,23 @@ Angle DrawnStage::error(StageAxis axis, Angle commanded, Angle other_commanded) 
     error += a.step_error_sd.deg() *
              normal_numbers(truth_.seed, NoiseStream::kStepError, {pose, other, index(axis), 0})[0];
   return Angle::degrees(error);
+}
+
+double DrawnStage::error_on_the_way_deg(StageAxis axis, double position_deg, Angle other_commanded) const {
+  const double below = std::floor(position_deg);
+  const double share = position_deg - below;
+  return (1.0 - share) * error(axis, Angle::degrees(below), other_commanded).deg() +
+         share * error(axis, Angle::degrees(below + 1.0), other_commanded).deg();
+}
+
+double DrawnStage::ripple_deg(StageAxis axis, double position_deg, int direction) const {
+  double sum = 0.0;
+  for (const ErrorHarmonic& harmonic : ripple_[index(axis)][direction < 0 ? 1 : 0]) {
+    const double phase = reduced_rad(harmonic.order * std::remainder(position_deg, 360.0));
+    sum +=
+        harmonic.sin_coefficient.deg() * std::sin(phase) + harmonic.cos_coefficient.deg() * std::cos(phase);
+  }
+  return sum;
 }
 
 Eigen::Matrix3d DrawnStage::wobble(std::size_t axis, double turn_rad) const {

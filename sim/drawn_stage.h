@@ -42,6 +42,13 @@ class DrawnStage {
   /// angles of both axes to a millionth of a degree, modulo 360 degrees.
   Angle error(StageAxis axis, Angle commanded, Angle other_commanded) const;
 
+  /// The error of an axis while it turns, with the other at a pose: between those of whole degrees.
+  double error_on_the_way_deg(StageAxis axis, double position_deg, Angle other_commanded) const;
+
+  /// How far an axis that turns at a constant rate is ahead of its mean motion, in degrees.
+  /// @param direction  1 or -1
+  double ripple_deg(StageAxis axis, double position_deg, int direction) const;
+
   /// Tilt of the base about x, y, z of the LGCS in this run, without its change over the span, rad.
   const Eigen::Vector3d& floor_of_run() const { return floor_of_run_; }
 
@@ -63,6 +70,8 @@ class DrawnStage {
   std::array<Angle, 2> homing_;                          ///< Drawn for the run.
   std::array<std::vector<ErrorHarmonic>, 2> harmonics_;  ///< Given and drawn.
   std::array<std::vector<WobbleHarmonic>, 2> wobble_;    ///< Given and drawn.
+  /// By axis; of turning up and of turning down.
+  std::array<std::array<std::vector<ErrorHarmonic>, 2>, 2> ripple_;
 };
 
 }  // namespace abcal::sim

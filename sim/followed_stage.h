@@ -18,6 +18,9 @@ class FollowedStage final : public RotationStage {
   StageInfo identify() override { return stage_->identify(); }
   void home(StageAxis axis) override { stage_->home(axis); }
   void move_to(StageAxis axis, Angle target) override { stage_->move_to(axis, target); }
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    stage_->set_speed(axis, deg_per_s);
+  }
   /// Also reads the encoder, so that the world follows while the stage moves.
   MotionState motion_state(StageAxis axis) override;
   Angle encoder_angle(StageAxis axis) override;

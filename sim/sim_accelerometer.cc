@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "sim/counter_noise.h"
 
 namespace abcal::sim {
 namespace {
@@ -84,10 +85,17 @@ std::optional<Reading> SimAccelerometer::next(Clock::Instant deadline) {
     ++health_.readings;
     return Reading{.output = output.value,
                    .sequence = sequence,
-                   .arrival = t,
+                   .arrival = t + lateness(sequence),
                    .temperature_degc = output.temperature_degc,
                    .over_range = output.clipped[0] || output.clipped[1] || output.clipped[2]};
   }
+}
+
+Clock::Duration SimAccelerometer::lateness(std::uint64_t sequence) const {
+  const double jitter_s = bench_->item().time_stamp_jitter_s;
+  if (jitter_s == 0.0) return {};
+  const auto normal = normal_numbers(bench_->item().seed, NoiseStream::kTimeStamp, {sequence, 0, 0, 0});
+  return from_seconds(jitter_s * std::abs(normal[0]));
 }
 
 void SimAccelerometer::discard_pending() {

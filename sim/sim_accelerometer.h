@@ -26,6 +26,7 @@ class SimAccelerometer final : public Accelerometer {
 
  private:
   Clock::Instant sample_time(std::uint64_t index) const;
+  Clock::Duration lateness(std::uint64_t sequence) const;
   std::uint64_t first_after(Clock::Instant t) const;
 
   std::shared_ptr<SimBench> bench_;

@@ -88,6 +88,13 @@ void check(const OutputTruth& truth) {
   not_negative(truth.noise, "noise");
   not_negative(truth.quantisation, "quantisation");
   not_negative(truth.ring_down_frequency_hz, "ring_down_frequency_hz");
+  not_negative(truth.low_pass_hz, "low_pass_hz");
+  not_negative(truth.group_delay_s, "group_delay_s");
+  not_negative(truth.time_stamp_jitter_s, "time_stamp_jitter_s");
+  finite(truth.rate_offset, "rate_offset");
+  finite(truth.position_u_mm, "position_u_mm");
+  finite(truth.position_v_mm, "position_v_mm");
+  finite(truth.position_w_mm, "position_w_mm");
   require(truth.full_scale > 0.0, "full_scale", truth.full_scale, "> 0");
   require(truth.ring_down_decay_s > 0.0 && std::isfinite(truth.ring_down_decay_s), "ring_down_decay_s",
           truth.ring_down_decay_s, "> 0");
@@ -263,10 +270,32 @@ double SimBench::shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) c
   return fault == nullptr ? 0.0 : fault->value;
 }
 
+/// The commanded angle with the ripple of the rate, which is gone where the axis stands.
+double SimBench::position_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const {
+  const AxisMotion& motion = epoch.motion[axis];
+  const double commanded_deg = motion.position(t).deg();
+  const StageAxis which = kStageAxes[axis];
+  if (stage().axis(which).rate_ripple == 0.0 || !motion.moving(t)) return commanded_deg;
+  const double velocity = motion.velocity_deg_per_s(t);
+  const double share = std::abs(velocity) / std::max(motion.peak_speed_deg_per_s(), 1e-9);
+  return commanded_deg + share * stage_.ripple_deg(which, commanded_deg, velocity < 0.0 ? -1 : 1);
+}
+
 Angle SimBench::encoder_angle(StageAxis axis, Clock::Instant t) const {
-  Angle exact = commanded_angle(axis, t);
+  Angle exact;
   {
     const std::lock_guard lock(mutex_);
+    if (epoch_at(t).motion[index(axis)].moving(t)) {
+      double late_s = stage().encoder_latency_s;
+      if (stage().encoder_jitter_s > 0.0) {
+        const auto when = static_cast<std::uint64_t>(t.time_since_epoch().count());
+        late_s += stage().encoder_jitter_s *
+                  std::abs(normal_numbers(seed_of_run(stage().seed, stage().run), NoiseStream::kEncoder,
+                                          {when, index(axis), 0, 0})[0]);
+      }
+      t -= from_seconds(late_s);
+    }
+    exact = Angle::degrees(position_deg(epoch_at(t), index(axis), t));
     exact += Angle::degrees(shift_deg(FaultKind::kMovedAxis, index(axis), t));
   }
   const double resolution = stage().axis(axis).encoder_resolution.deg();
@@ -276,6 +305,15 @@ Angle SimBench::encoder_angle(StageAxis axis, Clock::Instant t) const {
 
 double SimBench::error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const {
   if (t >= epoch.settled) return epoch.error_to_deg[axis];
+  // On a long way the error follows its map; on a short one it changes evenly.
+  constexpr double kLongWayDeg = 180.0;
+  const AxisMotion& motion = epoch.motion[axis];
+  const double way_deg = std::abs((motion.target() - motion.position(motion.start())).deg());
+  if (motion.moving(t) && way_deg >= kLongWayDeg) {
+    const StageAxis which = kStageAxes[axis];
+    return stage_.error_on_the_way_deg(which, motion.position(t).deg(), epoch.motion[1 - axis].target()) +
+           (epoch.backlash[axis] ? stage().axis(which).backlash.deg() : 0.0);
+  }
   const double done =
       t <= epoch.start ? 0.0 : to_seconds(t - epoch.start) / to_seconds(epoch.settled - epoch.start);
   return epoch.error_from_deg[axis] + done * (epoch.error_to_deg[axis] - epoch.error_from_deg[axis]);
@@ -286,7 +324,7 @@ Angle SimBench::actual_angle(StageAxis axis, Clock::Instant t) const {
   const Epoch& epoch = epoch_at(t);
   const double shift =
       shift_deg(FaultKind::kMissedStep, index(axis), t) + shift_deg(FaultKind::kMovedAxis, index(axis), t);
-  return epoch.motion[index(axis)].position(t) + Angle::degrees(error_deg(epoch, index(axis), t) + shift);
+  return Angle::degrees(position_deg(epoch, index(axis), t) + error_deg(epoch, index(axis), t) + shift);
 }
 
 Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const {
@@ -327,9 +365,9 @@ SimBench::Turn SimBench::turn_at(const Epoch& epoch, Clock::Instant t) const {
   for (std::size_t k = 0; k < 2; ++k) {
     const double shift_deg_k =
         shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
-    const double position_deg = epoch.motion[k].position(t).deg();
-    turn.actual[k] = reduced_rad(position_deg + error_deg(epoch, k, t) + shift_deg_k);
-    turn.commanded[k] = reduced_rad(position_deg);
+    const double at_deg = position_deg(epoch, k, t);
+    turn.actual[k] = reduced_rad(at_deg + error_deg(epoch, k, t) + shift_deg_k);
+    turn.commanded[k] = reduced_rad(at_deg);
   }
   return turn;
 }
@@ -549,6 +587,89 @@ Eigen::Array3d SimBench::bend(const OutputTruth& truth, const Eigen::Array3d& li
   return sum;
 }
 
+/// Specific forces on the elements of u, v, w (rows) by the turning of the axes, along x, y, z of the
+/// platter, in g_loc: the acceleration of each element.
+Eigen::Matrix3d SimBench::forces_by_turning(const OutputTruth& truth, Clock::Instant t) const {
+  constexpr double kStandardGravity = 9.80665;
+  constexpr Clock::Duration kShort = std::chrono::milliseconds(2);
+  Eigen::Matrix3d forces = Eigen::Matrix3d::Zero();
+  const Epoch& epoch = epoch_at(t);
+  std::array<double, 2> rate{}, acceleration{};
+  for (std::size_t k = 0; k < 2; ++k) {
+    if (!epoch.motion[k].moving(t)) continue;
+    const double before = position_deg(epoch, k, t - kShort);
+    const double now = position_deg(epoch, k, t);
+    const double after = position_deg(epoch, k, t + kShort);
+    const double interval = to_seconds(kShort);
+    rate[k] = Angle::degrees((after - before) / (2.0 * interval)).rad();
+    acceleration[k] = Angle::degrees((after - 2.0 * now + before) / (interval * interval)).rad();
+  }
+  if (rate[0] == 0.0 && rate[1] == 0.0) return forces;
+  const double turned_z = reduced_rad(position_deg(epoch, 1, t));
+  const Eigen::AngleAxisd back(-turned_z, Eigen::Vector3d::UnitZ());
+  const std::array<Eigen::Vector3d, 2> axes{back * Eigen::Vector3d::UnitX(), Eigen::Vector3d::UnitZ()};
+  const Eigen::Vector3d from_x = back * Eigen::Vector3d(0.0, 1e-3 * stage().axes_distance_mm, 0.0);
+  const std::array<Eigen::Vector3d, 3> places{truth.position_u_mm, truth.position_v_mm, truth.position_w_mm};
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 2; ++k) {
+      const Eigen::Vector3d r = 1e-3 * places[j] + (k == 0 ? from_x : Eigen::Vector3d::Zero());
+      const Eigen::Vector3d turning = rate[k] * axes[k];
+      const Eigen::Vector3d a = turning.cross(turning.cross(r)) + acceleration[k] * axes[k].cross(r);
+      forces.row(static_cast<Eigen::Index>(j)) += a.transpose() / kStandardGravity;
+    }
+  }
+  return forces;
+}
+
+/// The linear response l - O at `t`, without filter and delay.
+Eigen::Array3d SimBench::linear_response(const OutputTruth& truth, Clock::Instant t) const {
+  const Eigen::Matrix3d mounted = mounted_matrix(truth, t);
+  Eigen::Vector3d response = mounted * force(epoch_at(t), t);
+  const bool at_centre = truth.position_u_mm.isZero(0.0) && truth.position_v_mm.isZero(0.0) &&
+                         truth.position_w_mm.isZero(0.0) && stage().axes_distance_mm == 0.0;
+  if (!at_centre) response += mounted.cwiseProduct(forces_by_turning(truth, t)).rowwise().sum();
+  return response.array() * gain(truth, t);
+}
+
+/// The response of the elements without offset: linear, with its bends.
+Eigen::Array3d SimBench::bent_response(const OutputTruth& truth, Clock::Instant t) const {
+  const Eigen::Array3d linear = linear_response(truth, t);
+  return linear + linear.square() * truth.k2.array() + linear.cube() * truth.k3.array() + bend(truth, linear);
+}
+
+/// bent_response() behind low-pass and delay: the filter of the output. An exponential memory is integrated
+/// by Gauss and Laguerre's rule, exact for all that is smooth over a time constant.
+Eigen::Array3d SimBench::filtered_response(const OutputTruth& truth, Clock::Instant t) const {
+  constexpr std::array<std::array<double, 5>, 2> kTimes{
+      std::array{0.26356031971814176, 1.4134030591065183, 3.596425771040722, 7.085810005858834,
+                 12.640800844275784},
+      {0.6170308532782699, 2.1129659585785228, 4.610833151017531, 8.39906697120484, 14.260103065920832}};
+  constexpr std::array<std::array<double, 5>, 2> kWeights{
+      std::array{0.5217556105828096, 0.39866681108317487, 0.07594244968170749, 0.003611758679922043,
+                 2.3369972385776238e-05},
+      {0.3480145400233489, 0.5022806741324928, 0.14091591949447282, 0.00871989302609997,
+       6.897332358564013e-05}};
+  constexpr double kMemory = 20.0;  // Time constants.
+  const double constant_s =
+      truth.low_pass_hz > 0.0 ? 1.0 / (2.0 * std::numbers::pi * truth.low_pass_hz) : 0.0;
+  const Clock::Instant then = t - from_seconds(truth.group_delay_s);
+  const Clock::Instant oldest = then - from_seconds(kMemory * constant_s);
+  const Epoch& epoch = epoch_at(t);
+  const bool at_rest = epoch.settled < oldest && !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
+  if (at_rest || oldest == t) return bent_response(truth, t);
+  if (constant_s == 0.0) return bent_response(truth, then);
+  const std::size_t order = truth.low_pass_order == 2 ? 1 : 0;
+  Eigen::Array3d sum = Eigen::Array3d::Zero();
+  for (std::size_t i = 0; i < kTimes[order].size(); ++i)
+    sum += kWeights[order][i] * bent_response(truth, then - from_seconds(constant_s * kTimes[order][i]));
+  return sum;
+}
+
+double SimBench::rate_over_reference(const Epoch& epoch, Clock::Instant t) const {
+  constexpr double kReferenceDegPerS = 60.0;
+  return (epoch.motion[0].velocity_deg_per_s(t) + epoch.motion[1].velocity_deg_per_s(t)) / kReferenceDegPerS;
+}
+
 SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
                                           Clock::Duration sample_period) const {
   const OutputTruth& truth = truth_at(t);
@@ -558,13 +679,25 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
 
   const Eigen::Vector3d f_P = force(epoch, t);
   const Eigen::Matrix3d mounted = mounted_matrix(truth, t);
-  const Eigen::Array3d linear = (mounted * f_P).array() * gain(truth, t);  // l - O
-  Eigen::Array3d r = linear + truth.offset.array() + linear.square() * truth.k2.array() +
-                     linear.cube() * truth.k3.array() + truth.drift_per_hour.array() * hours +
-                     thermal_offset(truth, t);
-  r += bend(truth, linear) + slow_offset(truth, t);
-  if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0))
+  Eigen::Array3d r;
+  if (truth.low_pass_hz > 0.0 || truth.group_delay_s > 0.0) {
+    r = filtered_response(truth, t) + truth.offset.array() + truth.drift_per_hour.array() * hours +
+        thermal_offset(truth, t) + slow_offset(truth, t);
+  } else {
+    const Eigen::Array3d linear = linear_response(truth, t);  // l - O
+    r = linear + truth.offset.array() + linear.square() * truth.k2.array() +
+        linear.cube() * truth.k3.array() + truth.drift_per_hour.array() * hours + thermal_offset(truth, t);
+    r += bend(truth, linear) + slow_offset(truth, t);
+  }
+  if (!truth.rate_offset.isZero(0.0)) r += truth.rate_offset.array() * rate_over_reference(epoch, t);
+  if (!truth.hysteresis.isZero(0.0) && (epoch.motion[0].moving(t) || epoch.motion[1].moving(t))) {
+    // On the way the output comes from where it was just before.
+    constexpr Clock::Duration kJustBefore = std::chrono::milliseconds(2);
+    r += truth.hysteresis.array() *
+         (mounted * (f_P - force(epoch_at(t - kJustBefore), t - kJustBefore))).array().sign();
+  } else if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0)) {
     r += truth.hysteresis.array() * (mounted * (f_P - epoch.force_before)).array().sign();
+  }
 
   if (truth.ring_down_amplitude != 0.0) {
     for (const AxisMotion& motion : epoch.motion) {

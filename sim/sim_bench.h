@@ -53,8 +53,7 @@ struct SimOutput {
 /// commanded in order of time.
 ///
 /// Physics: docs/theory/model.md, docs/effects.md. DrawnStage has the stage's geometry and errors. Eigen
-/// turns the vectors; no formula of the analysis is used here. The accelerometer sits where the axes cross:
-/// no centripetal acceleration. Safe to use from several threads.
+/// turns the vectors; no formula of the analysis is used here. Safe to use from several threads.
 class SimBench {
  public:
   /// `start` is the zero of the world's time (drift, temperature).
@@ -177,6 +176,12 @@ class SimBench {
   const Epoch& epoch_at(Clock::Instant t) const;
   const OutputTruth& truth_at(Clock::Instant t) const;
   void command(StageAxis axis, AxisMotion motion, Clock::Instant t);
+  double position_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
+  Eigen::Matrix3d forces_by_turning(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d linear_response(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d bent_response(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d filtered_response(const OutputTruth& truth, Clock::Instant t) const;
+  double rate_over_reference(const Epoch& epoch, Clock::Instant t) const;
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;

@@ -75,6 +75,15 @@ void SimStage::move_to(StageAxis axis, Angle target) {
   bench_->move(axis, target, now);
 }
 
+void SimStage::set_speed(StageAxis axis, std::optional<double> deg_per_s) {
+  MotionLimits limits = bench_->motion_limits(axis);
+  limits.speed_deg_per_s = deg_per_s.value_or(bench_->stage().axis(axis).speed_deg_per_s);
+  if (!(limits.speed_deg_per_s > 0.0))
+    throw InstrumentError(fmt::format("simulated stage axis {}", to_string(axis)), Fault::kRefused,
+                          fmt::format("speed {} deg/s; required: above 0", limits.speed_deg_per_s));
+  bench_->set_motion_limits(axis, limits);
+}
+
 MotionState SimStage::motion_state(StageAxis axis) {
   const std::lock_guard lock(mutex_);
   const Clock::Instant now = clock_.now();

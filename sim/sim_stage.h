@@ -18,6 +18,7 @@ class SimStage final : public RotationStage {
   void home(StageAxis axis) override;
   /// @throws InstrumentError kNotReady before home(), kOutOfTravel.
   void move_to(StageAxis axis, Angle target) override;
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override;
   MotionState motion_state(StageAxis axis) override;
   Angle encoder_angle(StageAxis axis) override;
   bool halt() noexcept override;

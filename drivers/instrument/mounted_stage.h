@@ -26,6 +26,9 @@ class MountedStage final : public RotationStage {
   StageInfo identify() override;  ///< Travels are in protocol angles, narrowed to the bench's limits.
   void home(StageAxis axis) override;
   void move_to(StageAxis axis, Angle target) override;
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    stage_->set_speed(axis, deg_per_s);
+  }
   MotionState motion_state(StageAxis axis) override;
   Angle encoder_angle(StageAxis axis) override;
   bool halt() noexcept override;

@@ -104,6 +104,9 @@ class ReplaceableStage final : public RotationStage {
   void move_to(StageAxis axis, Angle target) override {
     stage_.guarded([&](RotationStage& stage) { stage.move_to(axis, target); });
   }
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    stage_.guarded([&](RotationStage& stage) { stage.set_speed(axis, deg_per_s); });
+  }
   MotionState motion_state(StageAxis axis) override {
     return stage_.guarded([&](RotationStage& stage) { return stage.motion_state(axis); });
   }

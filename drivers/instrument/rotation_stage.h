@@ -2,6 +2,8 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
+#include <stdexcept>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -73,6 +75,13 @@ class RotationStage {
   /// @throws InstrumentError kOutOfTravel, kNotReady (not referenced), kRefused with the controller's own
   /// code.
   virtual void move_to(StageAxis axis, Angle target) = 0;
+
+  /// Sets the speed of the moves of an axis from now on, in degrees/s; absent: the one that it had before the
+  /// first such call. The axis must stand.
+  /// @throws InstrumentError kRefused: not this speed; std::runtime_error: the driver cannot set any
+  virtual void set_speed(StageAxis /*axis*/, std::optional<double> /*deg_per_s*/) {
+    throw std::runtime_error("stage: its axes cannot be turned at a stated rate");
+  }
 
   virtual MotionState motion_state(StageAxis axis) = 0;
 

@@ -17,6 +17,9 @@ class SplitStage final : public RotationStage {
   StageInfo identify() override;
   void home(StageAxis axis) override { part(axis).home(axis); }
   void move_to(StageAxis axis, Angle target) override { part(axis).move_to(axis, target); }
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    part(axis).set_speed(axis, deg_per_s);
+  }
   MotionState motion_state(StageAxis axis) override { return part(axis).motion_state(axis); }
   Angle encoder_angle(StageAxis axis) override { return part(axis).encoder_angle(axis); }
 

@@ -320,6 +320,16 @@ class NewportEspController final : public wire::LineController {
     speed_set_[index(axis)] = true;
   }
 
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    ensure_known();
+    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
+    std::optional<double>& usual = usual_speed_[index(axis)];
+    if (!usual) usual = speed ? speed : axis_info(axis, std::nullopt).speed_deg_per_s;
+    speed = deg_per_s ? deg_per_s : usual;
+    speed_set_[index(axis)] = false;
+    apply_speed(axis);
+  }
+
   void home(StageAxis axis) override {
     name_of(axis);
     ensure_known();
@@ -424,7 +434,8 @@ class NewportEspController final : public wire::LineController {
   }
 
  private:
-  const StageSettings settings_;
+  StageSettings settings_;
+  std::array<std::optional<double>, 2> usual_speed_{};  ///< Before set_speed().
   wire::LineExchange replies_;
   Identity identity_;
   bool known_ = false;

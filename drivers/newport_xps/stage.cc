@@ -331,6 +331,15 @@ class NewportXpsController final : public wire::LineController {
     active_[index(axis)] = true;
   }
 
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
+    std::optional<double>& usual = usual_speed_[index(axis)];
+    if (!usual) usual = speed ? speed : axis_info(axis).speed_deg_per_s;
+    speed = deg_per_s ? deg_per_s : usual;
+    speed_set_[index(axis)] = false;
+    apply_speed(axis);
+  }
+
   void home(StageAxis axis) override {
     const std::string name = group(axis);
     ensure_known();
@@ -444,7 +453,8 @@ class NewportXpsController final : public wire::LineController {
   }
 
  private:
-  const StageSettings settings_;
+  StageSettings settings_;
+  std::array<std::optional<double>, 2> usual_speed_{};  ///< Before set_speed().
   Clock& clock_;
   std::array<MotionConnection, 2> motions_;
   wire::LineExchange replies_;

@@ -434,6 +434,16 @@ class PiGcsController final : public wire::LineController {
     speed_set_[index(axis)] = true;
   }
 
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    ensure_known(axis);
+    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
+    std::optional<double>& usual = usual_speed_[index(axis)];
+    if (!usual) usual = speed ? speed : axis_info(axis).speed_deg_per_s;
+    speed = deg_per_s ? deg_per_s : usual;
+    speed_set_[index(axis)] = false;
+    apply_speed(axis);
+  }
+
   void home(StageAxis axis) override {
     const std::string& name = name_of(axis);
     ensure_known(axis);
@@ -615,7 +625,8 @@ class PiGcsController final : public wire::LineController {
   }
 
  private:
-  const StageSettings settings_;
+  StageSettings settings_;
+  std::array<std::optional<double>, 2> usual_speed_{};  ///< Before set_speed().
   std::vector<std::unique_ptr<Member>> members_;
   std::array<AxisPlace, 2> places_;
   std::array<std::size_t, 2> member_of_{};

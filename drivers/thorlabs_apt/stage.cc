@@ -391,6 +391,15 @@ class ThorlabsAptController final : public wire::LineController {
     }
   }
 
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
+    std::optional<double>& usual = usual_speed_[index(axis)];
+    if (!usual) usual = speed ? speed : velocity(axis).maximum / velocity_factor(axes_[index(axis)]);
+    speed = deg_per_s ? deg_per_s : usual;
+    axes_[index(axis)].speed_set = false;
+    apply_speed(axis);
+  }
+
   void home(StageAxis axis) override {
     Axis& a = known(axis);
     a.target.reset();
@@ -496,7 +505,8 @@ class ThorlabsAptController final : public wire::LineController {
   }
 
  private:
-  const StageSettings settings_;
+  StageSettings settings_;
+  std::array<std::optional<double>, 2> usual_speed_{};  ///< Before set_speed().
   Clock& clock_;
   std::array<Axis, 2> axes_;
   std::optional<wire::LineExchange> replies_;

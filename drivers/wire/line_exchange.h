@@ -165,6 +165,8 @@ class LineController {
   virtual StageInfo identify() = 0;
   virtual void home(StageAxis axis) = 0;
   virtual void move_to(StageAxis axis, Angle target) = 0;
+  /// As RotationStage::set_speed().
+  virtual void set_speed(StageAxis axis, std::optional<double> deg_per_s) = 0;
   virtual MotionState motion_state(StageAxis axis) = 0;
   virtual Angle encoder_angle(StageAxis axis) = 0;
 
@@ -220,6 +222,9 @@ class LineStage : public RotationStage {
   }
   void move_to(StageAxis axis, Angle target) final {
     locked([&](LineController& c) { c.move_to(axis, target); });
+  }
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) final {
+    locked([&](LineController& c) { c.set_speed(axis, deg_per_s); });
   }
   MotionState motion_state(StageAxis axis) final {
     return locked([&](LineController& c) { return c.motion_state(axis); });

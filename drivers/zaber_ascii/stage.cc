@@ -450,6 +450,15 @@ class ZaberAsciiController final : public wire::LineController {
     speed_set_[index(axis)] = true;
   }
 
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
+    std::optional<double>& usual = usual_speed_[index(axis)];
+    if (!usual) usual = speed ? speed : axis_info(axis).speed_deg_per_s;
+    speed = deg_per_s ? deg_per_s : usual;
+    speed_set_[index(axis)] = false;
+    apply_speed(axis, place_of(axis));
+  }
+
   void home(StageAxis axis) override {
     const Place place = place_of(axis);
     halted_[index(axis)] = false;
@@ -599,7 +608,8 @@ class ZaberAsciiController final : public wire::LineController {
   }
 
  private:
-  const StageSettings settings_;
+  StageSettings settings_;
+  std::array<std::optional<double>, 2> usual_speed_{};  ///< Before set_speed().
   int id_ = 0;
   bool checksums_ = false;  ///< Replies have one; those without are damaged.
   bool some_checksums_ = false;

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "protocol/plan/limits.h"
+
 namespace abcal {
 namespace {
 
@@ -82,6 +84,37 @@ std::string wobble_name(int i) {
          std::to_string((i / 2) % 2 + 1);
 }
 
+template <bool of_x>
+StageShare delay_share(const StagePose& pose, int /*i*/) {
+  if (pose.about_x() != of_x) return {};
+  return {of_x ? kInputAngleX : kInputAngleZ, -pose.rate_radps, 0, 0.0};
+}
+/// The axis X passes at this distance from Z, along y where Z is at 0: centripetal and tangential
+/// acceleration of all that turns about it.
+StageShare distance_share(const StagePose& pose, int /*i*/) {
+  if (!pose.about_x()) return {};
+  const Eigen::Vector3d axis = pose.axis_in_platter();
+  const Eigen::Vector3d side(pose.z.sin[1], pose.z.cos[1], 0.0);
+  const int along = std::abs(side.x()) > std::abs(side.y()) ? kInputForceX : kInputForceY;
+  const double sign = side(along - kInputForceX);
+  const double turned = axis.cross(side).z();
+  return {along, -pose.rate_radps * pose.rate_radps * sign / kStandardGravity, kInputForceZ,
+          pose.acceleration_radps2 * turned / kStandardGravity};
+}
+/// The phase of the item beyond a delay: as if the angle were ahead by it.
+StageShare phase_share(const StagePose& pose, int /*i*/) {
+  return {moving_angle_input(pose.experiment), std::pow(pose.rate_radps / kReferenceRate, 3), 0, 0.0};
+}
+double phase_prior(const EffectSizes& sizes) {
+  return sizes.phase_rad;
+}
+double delay_prior(const EffectSizes& sizes) {
+  return sizes.delay_s;
+}
+double distance_prior(const EffectSizes& sizes) {
+  return sizes.axes_distance_mm * 1e-3;
+}
+
 constexpr std::array kStageEffects{
     StageEffect{"Zx", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZx, always>, no_name},
     StageEffect{"Zy", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZy, always>, no_name},
@@ -112,6 +145,11 @@ constexpr std::array kStageEffects{
                 wobble_share<true>, wobble_name},
     StageEffect{"wobble of Z", "wobble_urad", 4 * kWobbleHarmonics, "radian", wobble_prior,
                 wobble_share<false>, wobble_name},
+    StageEffect{"delay about X", "delay_s", 1, "s", delay_prior, delay_share<true>, no_name, 1, true},
+    StageEffect{"delay about Z", "delay_s", 1, "s", delay_prior, delay_share<false>, no_name, 1, true},
+    StageEffect{"phase", "phase_rad", 1, "radian", phase_prior, phase_share, no_name, 1, true},
+    StageEffect{"distance of the axes", "axes_distance_mm", 1, "m", distance_prior, distance_share, no_name,
+                1, true},
 };
 
 template <double EffectSizes::*member>
@@ -151,7 +189,9 @@ ItemShare power_share(const ItemPoint& at, int output, int /*i*/) {
   const double y = at.y(output);
   double lower = 1.0;
   for (int k = 1; k < order; ++k) lower *= y;
-  return {lower * y, order * lower};
+  double twice = order * (order - 1);
+  for (int k = 2; k < order; ++k) twice *= y;
+  return {lower * y, order * lower, 0.0, 0.0, twice};
 }
 ItemShare absolute_share(const ItemPoint& at, int output, int /*i*/) {
   const double y = at.y(output);
@@ -185,6 +225,30 @@ LineShare cross_line(const Eigen::Matrix3d& rows, int output, int i) {
 
 ItemShare hysteresis_share(const ItemPoint& at, int output, int /*i*/) {
   return {at.came_from(output), 0.0};
+}
+
+/// Rate over the reference rate.
+double relative_rate(const ItemPoint& at) {
+  return at.rate_radps / kReferenceRate;
+}
+ItemShare low_pass_share(const ItemPoint& at, int output, int /*i*/) {
+  const double square = relative_rate(at) * relative_rate(at);
+  return {-square * at.swing(output), -square};
+}
+ItemShare delay_difference_share(const ItemPoint& at, int output, int /*i*/) {
+  return {-at.rate_radps * at.by_angle(output), 0.0};
+}
+ItemShare rate_offset_share(const ItemPoint& at, int /*output*/, int /*i*/) {
+  return {relative_rate(at), 0.0};
+}
+ItemShare position_share(const ItemPoint& at, int output, int i) {
+  return {at.by_position(output, i), 0.0};
+}
+std::string position_name(int i) {
+  return std::string("along ") + "xyz"[i];
+}
+double position_prior(const EffectSizes& sizes) {
+  return sizes.position_mm * 1e-3;
 }
 
 LineShare no_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
@@ -221,9 +285,53 @@ constexpr std::array kItemEffects{
                cross_line, cross_name},
     ItemEffect{"hysteresis", "hysteresis", kOther, 1, size<&EffectSizes::hysteresis>, hysteresis_share,
                no_line, no_name},
+    ItemEffect{"low-pass", "low_pass", kOther, 1, size<&EffectSizes::low_pass>, low_pass_share, no_line,
+               no_name, true},
+    ItemEffect{"delay", "delay_difference_s", kOther, 1, size<&EffectSizes::delay_difference_s>,
+               delay_difference_share, no_line, no_name, true},
+    ItemEffect{"offset with the rate", "rate_offset", kOther, 1, size<&EffectSizes::rate_offset>,
+               rate_offset_share, no_line, no_name, true},
+    ItemEffect{"apparent position", "position_mm", kOther, 3, position_prior, position_share, no_line,
+               position_name, true},
 };
 
 }  // namespace
+
+void ItemPoint::turn(const StagePose& pose, const Eigen::Matrix3d& rows, const GravityAt& gravity) {
+  if (pose.rate_radps == 0.0 && pose.acceleration_radps2 == 0.0) return;
+  rate_radps = pose.rate_radps;
+  by_angle = rows * gravity.by_input.col(moving_angle_input(pose.experiment));
+  const Eigen::Vector3d axis = pose.axis_in_platter();
+  const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - axis * axis.transpose();
+  swing = rows * (across * gravity.g);
+  Eigen::Matrix3d turning;  // axis x r
+  turning << 0.0, -axis.z(), axis.y(), axis.z(), 0.0, -axis.x(), -axis.y(), axis.x(), 0.0;
+  by_position = rows * (pose.acceleration_radps2 * turning - pose.rate_radps * pose.rate_radps * across) /
+                kStandardGravity;
+}
+
+double bent_swing(const ItemPoint& point, int output, const Eigen::Vector3d& slope, double curvature) {
+  return slope.dot(point.swing) - curvature * point.by_angle(output) * point.by_angle(output);
+}
+
+std::array<double, kSweepUnknowns> sweep_shares(double turned_rad) {
+  constexpr double kPi = std::numbers::pi;
+  // A slope of mean square 1 over the turn is the sum of +-2 sqrt 3 sin(m x)/(m pi), + for odd m.
+  double slope = turned_rad / kPi * std::numbers::sqrt3;
+  double left = 1.0;  // Share of its mean square.
+  std::array<double, kSweepUnknowns> out{1.0};
+  for (std::size_t m = 1; m <= kHarmonics; ++m) {
+    const auto order = static_cast<double>(m);
+    const double sine = std::sin(order * turned_rad);
+    out[2 * m - 1] = std::numbers::sqrt2 * sine;
+    out[2 * m] = std::numbers::sqrt2 * std::cos(order * turned_rad);
+    const double amplitude = 2.0 * std::numbers::sqrt3 / (order * kPi);
+    slope -= (m % 2 == 1 ? amplitude : -amplitude) * sine;
+    left -= 0.5 * amplitude * amplitude;
+  }
+  out.back() = slope / std::sqrt(left);
+  return out;
+}
 
 bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, bool nonlinearity) {
   if (effect.kind == kDrift && !drift) return false;

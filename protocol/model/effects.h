@@ -36,7 +36,8 @@ struct StageEffect {
   /// Effect of unknown i at a pose.
   StageShare (*share)(const StagePose&, int i) = nullptr;
   std::string (*unknown_name)(int i) = nullptr;
-  int face = 1;  ///< 2: only a run of two faces has this effect.
+  int face = 1;            ///< 2: only a run of two faces has this effect.
+  bool in_motion = false;  ///< Only a run at a constant rate has this effect.
 };
 
 /// "wobble of X, cos 1/rev, direction 2": the name of an unknown of the stage.
@@ -48,7 +49,26 @@ struct ItemPoint {
   Eigen::Vector3d y;  ///< Relative linear responses of u, v, w.
   /// Sign of the change of y since the previous pose in time, for each output; 0 at the first pose.
   Eigen::Vector3d came_from = Eigen::Vector3d::Zero();
+
+  // Where the stage turns.
+  double rate_radps = 0.0;                             ///< Rate of the axis that moves.
+  Eigen::Vector3d by_angle = Eigen::Vector3d::Zero();  ///< Derivatives of y by its angle, 1/radian.
+  /// y less its mean over the turn: its second derivative by the angle, with the other sign.
+  Eigen::Vector3d swing = Eigen::Vector3d::Zero();
+  /// Derivatives of the responses of u, v, w (rows) by the position of their elements, 1/m.
+  Eigen::Matrix3d by_position = Eigen::Matrix3d::Zero();
+
+  /// Completes a point where the stage turns.
+  /// @param rows  of the linear responses: those of s, each relative to its S_j
+  void turn(const StagePose& pose, const Eigen::Matrix3d& rows, const GravityAt& gravity);
 };
+
+/// The swing of a response that bends: slopes of it by the linear responses of u, v, w, and its second
+/// derivative by the output's own. A filter acts on the response as it is, with all its harmonics.
+double bent_swing(const ItemPoint& point, int output, const Eigen::Vector3d& slope, double curvature);
+
+/// The rate at which the relative sizes of the effects of motion are stated, radian/s (60 degrees/s).
+inline constexpr double kReferenceRate = 1.0471975511965976;
 
 /// Contribution of an unknown to a reading, relative to S_j, and its derivatives by the output's own y and by
 /// those of the next two in the order u, v, w, u.
@@ -57,6 +77,7 @@ struct ItemShare {
   double by_y = 0.0;
   double by_next = 0.0;
   double by_last = 0.0;
+  double by_y_twice = 0.0;  ///< Second derivative by the output's own y.
 };
 
 /// Contribution of an unknown to the line response (the measurand): a relative change of the row, and an
@@ -84,7 +105,15 @@ struct ItemEffect {
   /// @param rows  of the linear responses y: those of s, each relative to its S_j, near unit
   LineShare (*line)(const Eigen::Matrix3d& rows, int output, int i) = nullptr;
   std::string (*unknown_name)(int i) = nullptr;
+  bool in_motion = false;  ///< Only a run at a constant rate has this effect.
 };
+
+/// The course of an error of the angle around the circle that the encoder samples of one sweep leave unknown:
+/// its mean; sine and cosine of the orders 1 to kHarmonics; and a slope, without those orders. All but the
+/// mean have a mean square of 1 (sine and cosine: 1/2, times the root of 2).
+inline constexpr int kSweepUnknowns = 2 + 2 * kHarmonics;
+/// @param turned_rad  since the middle of the sweep, -pi to pi
+std::array<double, kSweepUnknowns> sweep_shares(double turned_rad);
 
 /// Whether a fit with or without drift and non-linearity estimates an effect: a size of zero leaves it out.
 bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, bool nonlinearity);

@@ -49,6 +49,12 @@ AngleHarmonics AngleHarmonics::of(double sin_a, double cos_a) {
   return out;
 }
 
+Eigen::Vector3d StagePose::axis_in_platter() const {
+  if (!about_x()) return Eigen::Vector3d::UnitZ();
+  // The platter is turned about Z: the X axis is turned back in it.
+  return {z.cos[1], -z.sin[1], 0.0};
+}
+
 StagePose StagePose::of(int experiment, int face, double sin_alpha, double cos_alpha) {
   const AngleHarmonics moving = AngleHarmonics::of(sin_alpha, cos_alpha);
   const double side = face == 2 ? -1.0 : 1.0;
@@ -80,7 +86,7 @@ struct WayBack {
     on_x = about_axis(above_x, x_axis, -x.sin, x.cos);
     above_z = tilted(on_x, -tilt_z);
     on_z = back_z(above_z);
-    g = at_zero(on_z);
+    g = at_zero(on_z) + inputs.segment<3>(kInputForceX);
   }
 
   Eigen::Vector3d at_zero(const Eigen::Vector3d& v) const { return tilted(tilted(v, tilt_z0), tilt_x0); }
@@ -134,6 +140,7 @@ GravityAt gravity_at(const StagePose& pose, const StageInputs& inputs) {
   out.by_input.col(kInputTiltXzAtZero) = way.by_tilt_x0(Vector3d::UnitZ());
   out.by_input.col(kInputTiltZxAtZero) = way.by_tilt_z0(Vector3d::UnitX());
   out.by_input.col(kInputTiltZyAtZero) = way.by_tilt_z0(Vector3d::UnitY());
+  out.by_input.middleCols<3>(kInputForceX).setIdentity();
   return out;
 }
 

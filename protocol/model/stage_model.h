@@ -21,6 +21,9 @@ enum StageInput : int {
   kInputTiltXzAtZero,
   kInputTiltZxAtZero,
   kInputTiltZyAtZero,
+  kInputForceX,  ///< Specific force beside gravity, along x, y, z of the platter as g is (g_loc).
+  kInputForceY,
+  kInputForceZ,
   kStageInputs,
 };
 using StageInputs = Eigen::Matrix<double, kStageInputs, 1>;
@@ -41,7 +44,12 @@ struct StagePose {
   int face = 1;
   /// Commanded angles of the axes; an axis that stands has 0 or -90 degrees, in face 2 180 or 90 degrees.
   AngleHarmonics x, z;
+  // Motion of the axis that moves, where the stage does not stand.
+  double rate_radps = 0.0;
+  double acceleration_radps2 = 0.0;
 
+  /// The axis that turns, along x, y, z of the platter as it lies at the pose (0, 0).
+  Eigen::Vector3d axis_in_platter() const;
   static StagePose of(int experiment, int face, double sin_alpha, double cos_alpha);
   bool about_x() const { return experiment != 3; }
   const AngleHarmonics& moving() const { return about_x() ? x : z; }

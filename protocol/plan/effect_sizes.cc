@@ -67,6 +67,11 @@ constexpr EffectSizeKey usual_but_zero(std::string_view uncovered, EffectSizeKey
   return key;
 }
 
+constexpr EffectSizeKey in_motion(double size, EffectSizeKey key) {
+  key.in_motion = size;
+  return key;
+}
+
 constexpr std::array kKeys{
     once_a_tolerance(angle<&EffectSizes::alignment>(kStage, "alignment_deg", 10.0, "alignment of the axes")),
     once_a_tolerance(
@@ -95,6 +100,24 @@ constexpr std::array kKeys{
                                        "angles between the item's axes about 90 degrees"),
     value<&EffectSizes::voltmeter_gain>(kItem, "voltmeter_gain", "1", 0.1, "gain of the voltmeter"),
     value<&EffectSizes::voltmeter_offset>(kItem, "voltmeter_offset", "1", 0.1, "offset of the voltmeter"),
+    in_motion(0.1, value<&EffectSizes::delay_s>(kStage, "delay_s", "s", 10.0,
+                                                "delay of the item behind the encoders")),
+    in_motion(10.0, value<&EffectSizes::axes_distance_mm>(kStage, "axes_distance_mm", "mm", 1000.0,
+                                                          "distance between the axes of the stage")),
+    in_motion(0.0005,
+              angle<&EffectSizes::sweep>(kStage, "sweep_deg", 10.0, "error of the angles common to a sweep")),
+    in_motion(0.001, value<&EffectSizes::delay_difference_s>(kItem, "delay_difference_s", "s", 10.0,
+                                                             "delay of an output beyond that of the item")),
+    in_motion(0.01,
+              value<&EffectSizes::low_pass>(kItem, "low_pass", "1", 1.0,
+                                            "loss of amplitude at 60 degrees/s, growing with its square")),
+    in_motion(1e-4,
+              value<&EffectSizes::phase_rad>(kItem, "phase_rad", "radian", 1.0,
+                                             "phase beyond a delay at 60 degrees/s, growing with its cube")),
+    in_motion(1e-4, value<&EffectSizes::rate_offset>(kItem, "rate_offset", "1", 1.0,
+                                                     "offset that grows with the rate, at 60 degrees/s")),
+    in_motion(30.0, value<&EffectSizes::position_mm>(kItem, "position_mm", "mm", 10'000.0,
+                                                     "apparent positions of the outputs' elements")),
 };
 
 std::string full_name(const EffectSizeKey& key) {
@@ -116,6 +139,12 @@ std::optional<Shape> shape_named(std::string_view name) {
 Shape EffectSizes::shape_of(std::string_view key) const {
   const auto found = shapes.find(key);
   return found == shapes.end() ? Shape::kNormal : found->second;
+}
+
+EffectSizes with_effects_of_motion(EffectSizes sizes) {
+  for (const EffectSizeKey& key : kKeys)
+    if (key.in_motion > 0.0 && !sizes.sources.contains(key.key)) key.set(sizes, key.in_motion);
+  return sizes;
 }
 
 EffectSizes without_further_effects(EffectSizes sizes) {
@@ -157,6 +186,7 @@ void read_effect_sizes(const std::function<std::optional<double>(const std::stri
 std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes) {
   std::map<std::string, std::string> entries;
   for (const EffectSizeKey& key : kKeys) {
+    if (key.in_motion > 0.0 && !(key.get(sizes) > 0.0) && !sizes.sources.contains(key.key)) continue;
     const std::string name = full_name(key);
     entries[name] = fmt::format("{:.17g}", key.get(sizes));
     const auto source = sizes.sources.find(key.key);

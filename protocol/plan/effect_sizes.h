@@ -62,6 +62,17 @@ struct EffectSizes {
   /// the smooth step errors; 0: not stated.
   Angle step_eccentric = Angle::degrees(0.0);
 
+  // For a run at a constant rate (docs/constant_rate.md); 0 in all others. Relative sizes are those at a rate
+  // of 60 degrees/s.
+  double delay_s = 0.0;             ///< Delay of the item less that of the encoder of an axis.
+  double axes_distance_mm = 0.0;    ///< Distance between the axes of the stage.
+  Angle sweep = Angle{};            ///< Error of the angles common to one sweep.
+  double delay_difference_s = 0.0;  ///< Delay of an output less that of the item.
+  double low_pass = 0.0;            ///< Loss of amplitude; it grows with the square of the rate.
+  double phase_rad = 0.0;           ///< Phase beyond a delay; it grows with the cube of the rate.
+  double rate_offset = 0.0;         ///< Offset that grows with the rate, relative to S_j.
+  double position_mm = 0.0;         ///< Each coordinate of the apparent position of an output's element.
+
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.
   std::map<std::string, std::string, std::less<>> sources = {};
@@ -73,6 +84,9 @@ struct EffectSizes {
 
   bool operator==(const EffectSizes&) const = default;
 };
+
+/// `sizes` with the defaults of the effects that only a run at a constant rate has, unless they are stated.
+EffectSizes with_effects_of_motion(EffectSizes sizes);
 
 /// `sizes` with every effect that EffectSizeKey::is_further marks left out (zero). For studies.
 EffectSizes without_further_effects(EffectSizes sizes);
@@ -92,6 +106,9 @@ struct EffectSizeKey {
   /// The effect in words where its default is zero although benches usually have it: results state that it is
   /// not covered unless its size is stated. Empty: a size of zero is not mentioned.
   std::string_view uncovered{};
+  /// Default in a run at a constant rate, of an effect that no other run has; 0: every run has it. Such an
+  /// effect is not a further one: without it, a run at a constant rate has no meaning.
+  double in_motion = 0.0;
   double (*get)(const EffectSizes&) = nullptr;
   void (*set)(EffectSizes&, double) = nullptr;
 };

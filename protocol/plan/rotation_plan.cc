@@ -66,9 +66,51 @@ struct TurningAxis {
   AxisTravel travel;
 };
 
+/// Time at its rate that an axis turns before the first step of a sweep and after its last.
+constexpr double kMarginS = 0.1;
+
+/// The way from rest to the first step of a sweep.
+Angle run_up(const ProtocolConfig& config, double rate_deg_per_s) {
+  const double rate = std::abs(rate_deg_per_s);
+  return Angle::degrees(rate * rate / (2.0 * config.acceleration_deg_per_s2) + kMarginS * rate);
+}
+
+/// The angles of one circle that is swept at a constant rate: all in one turn of the axis, with room to reach
+/// the rate.
+std::vector<SweepAngle> turn_at_rate(const ProtocolConfig& config, const TurningAxis& axis,
+                                     std::vector<Problem>& problems) {
+  double fastest = 0.0;
+  for (const double rate : config.rate_deg_per_s) fastest = std::max(fastest, rate);
+  const Angle beyond = config.step * 0.5 + run_up(config, fastest);
+  const Angle last = config.step * (config.steps - 1);
+  const bool whole_turn = std::abs((config.step * config.steps - kTurn).deg()) < 1e-9;
+  // A whole turn may begin at any of its angles; the nearest to 0 that the travel allows.
+  const int turn = whole_turn ? 1 : static_cast<int>(std::ceil(kTurn.deg() / config.step.deg()));
+  for (int k = 0; k <= 2 * config.steps; ++k) {
+    const int begin = turn * (k % 2 == 0 ? k / 2 : -(k + 1) / 2);
+    const Angle first = whole_turn ? config.step * begin : kTurn * (begin / turn);
+    if (first - beyond - config.approach < axis.travel.min || first + last + beyond > axis.travel.max)
+      continue;
+    std::vector<SweepAngle> angles;
+    for (int i = 0; i < config.steps; ++i) {
+      const int n = whole_turn ? ((begin + i) % config.steps + config.steps) % config.steps : i;
+      angles.push_back({n + 1, config.step * n, first + config.step * i});
+    }
+    return angles;
+  }
+  problems.push_back(
+      {"axis " + axis.name, "travel " + describe(axis.travel),
+       fmt::format("a travel of {} deg: the circle, and {} deg at either end for half a step and the way to "
+                   "{} deg/s at {} deg/s2 ([protocol] rate_deg_per_s, acceleration_deg_per_s2)",
+                   number((last + beyond * 2.0 + config.approach).deg()), number(beyond.deg()),
+                   number(fastest), number(config.acceleration_deg_per_s2))});
+  return {};
+}
+
 /// The angles of one circle by rising commanded angle, as near to alpha itself as the travel allows.
 std::vector<SweepAngle> sweep(const ProtocolConfig& config, int face, const TurningAxis& axis,
                               std::vector<Problem>& problems) {
+  if (config.is_constant_rate()) return turn_at_rate(config, axis, problems);
   const AxisTravel& travel = axis.travel;
   const Angle lowest_possible = travel.min + config.approach;
   const Angle last = config.step * (config.steps - 1);
@@ -199,6 +241,26 @@ Part measured_at(const Circle& circle, Angle held, const ProtocolConfig& config,
     angle = {circle.experiment, n, closing, alpha, turns_x ? commanded : held, turns_x ? held : commanded};
     angle.face = circle.face;
   };
+  if (config.is_constant_rate()) {
+    for (int k = 1; k <= config.sweeps; ++k) {
+      const double rate =
+          config.rate_deg_per_s.at(static_cast<std::size_t>(k - 1) % config.rate_deg_per_s.size());
+      for (std::size_t i = 0; i < circle.sweep.size(); ++i) {
+        // With an odd number of sweeps experiment 2 begins where experiment 1 ends.
+        const bool up = (k % 2 == 1) != (config.sweeps % 2 == 1 && circle.experiment == 2);
+        const SweepAngle& angle = circle.sweep[up ? i : circle.sweep.size() - 1 - i];
+        add(angle.n, false, angle.alpha, angle.commanded);
+        part.back().sweep = k;
+        part.back().rate_deg_per_s = up ? rate : -rate;
+      }
+    }
+    for (int k = 0; k < config.stops; ++k) {
+      const SweepAngle& angle = circle.sweep[static_cast<std::size_t>(k) * circle.sweep.size() /
+                                             static_cast<std::size_t>(config.stops)];
+      add(angle.n, false, angle.alpha, angle.commanded);
+    }
+    return part;
+  }
   for (const SweepAngle& angle : circle.sweep) add(angle.n, false, angle.alpha, angle.commanded);
   if (config.closing_angle) {
     const SweepAngle& first = circle.sweep.front();
@@ -238,6 +300,26 @@ PlanError::PlanError(std::vector<Problem> problems)
         return text;
       }()),
       problems_(std::move(problems)) {}
+
+std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t position) {
+  const PlannedAngle& first = plan.at(position);
+  std::size_t end = position + 1;
+  if (first.sweep == 0) return end;
+  while (end < plan.size() && plan[end].sweep == first.sweep && plan[end].experiment == first.experiment &&
+         plan[end].face == first.face)
+    ++end;
+  return end;
+}
+
+SweepTravel sweep_travel(const PlannedAngle& first, const PlannedAngle& last, const ProtocolConfig& config) {
+  const double sense = first.rate_deg_per_s < 0.0 ? -1.0 : 1.0;
+  const Angle beyond = (config.step * 0.5 + run_up(config, first.rate_deg_per_s)) * sense;
+  return {first.turning() - beyond, last.turning() + beyond};
+}
+
+bool is_room_to_sweep(Angle at, const SweepTravel& way, double rate_deg_per_s) {
+  return rate_deg_per_s < 0.0 ? at >= way.from : at <= way.from;
+}
 
 bool has_two_faces(const std::vector<PlannedAngle>& plan) {
   return std::ranges::any_of(plan, [](const PlannedAngle& angle) { return angle.face == 2; });
@@ -307,7 +389,15 @@ std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, con
     twist[axis].max = std::max(twist[axis].max, to);
     at[axis] = to;
   };
-  for (const PlannedAngle& angle : plan) {
+  for (std::size_t position = 0; position < plan.size(); position = end_of_sweep(plan, position)) {
+    const PlannedAngle& angle = plan[position];
+    if (angle.sweep > 0) {
+      const auto way = sweep_travel(angle, plan[end_of_sweep(plan, position) - 1], config);
+      turn_to(1 - angle.turning_axis(), angle.turning_axis() == kX ? angle.z : angle.x);
+      turn_to(angle.turning_axis(), way.from);
+      turn_to(angle.turning_axis(), way.to);
+      continue;
+    }
     turn_to(kX, angle.x);
     turn_to(kZ, angle.z);
   }
@@ -340,7 +430,19 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Prot
     }
     at[axis] = to;
   };
-  for (const PlannedAngle& angle : plan) {
+  for (std::size_t position = 0; position < plan.size(); position = end_of_sweep(plan, position)) {
+    const PlannedAngle& angle = plan[position];
+    if (angle.sweep > 0) {
+      const std::size_t axis = angle.turning_axis();
+      const SweepTravel way = sweep_travel(angle, plan[end_of_sweep(plan, position) - 1], config);
+      const double rate = std::abs(angle.rate_deg_per_s);
+      move(1 - axis, axis == kX ? angle.z : angle.x);
+      if (!is_room_to_sweep(at[axis], way, angle.rate_deg_per_s)) move(axis, way.from);
+      duration.dwelling_s +=
+          std::abs((way.to - at[axis]).deg()) / rate + rate / config.acceleration_deg_per_s2;
+      at[axis] = way.to;
+      continue;
+    }
     move(kX, angle.x);
     move(kZ, angle.z);
     duration.settling_s += least_settle_s(config, rate_hz);

@@ -36,7 +36,27 @@ struct PlannedAngle {
   Angle x, z;            ///< Commanded angles.
   bool check = false;    ///< A check pose: experiment 0, n = 1 or 2, alpha = 0.
   int face = 1;          ///< 1 or 2 (protocol/plan/faces.h).
+  /// Number of the sweep in its circle, from 1, in which the stage passes the angle; 0: it stands there.
+  int sweep = 0;
+  double rate_deg_per_s = 0.0;  ///< That of the sweep; below zero: towards lower angles.
+
+  /// The axis that turns in the experiment: 0 for X, 1 for Z.
+  std::size_t turning_axis() const { return experiment == 3 ? 1 : 0; }
+  Angle turning() const { return turning_axis() == 1 ? z : x; }
 };
+
+/// One past the last position of the sweep to which the angle at `position` belongs; position + 1 for an
+/// angle at which the stage stands.
+std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t position);
+
+/// From where to where the axis is turned in a sweep: over all its steps, with the way that it needs to reach
+/// its rate and a tenth of a second at that rate at either end.
+struct SweepTravel {
+  Angle from, to;
+};
+/// Whether a sweep can begin where the axis stands: there, or further from its first step.
+bool is_room_to_sweep(Angle at, const SweepTravel& way, double rate_deg_per_s);
+SweepTravel sweep_travel(const PlannedAngle& first, const PlannedAngle& last, const ProtocolConfig& config);
 
 /// Whether angles of the second face are among them.
 bool has_two_faces(const std::vector<PlannedAngle>& plan);

@@ -36,6 +36,10 @@ inline constexpr std::string_view kDefaultEstimator = "joint";
 /// The published protocol: of records that do not say which estimator was chosen.
 inline constexpr std::string_view kPublishedEstimator = "abc";
 
+/// The ways in which an experiment can be measured, by name (`[protocol] motion`): the stage stands at each
+/// angle, or it turns through each circle at a constant rate (docs/constant_rate.md).
+inline constexpr std::array<std::string_view, 2> kMotionNames{"steps", "constant_rate"};
+
 /// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
 struct ProtocolConfig {
   int steps = 72;                    ///< N, angles of each experiment.
@@ -43,6 +47,14 @@ struct ProtocolConfig {
   /// 1: the published protocol; 2: half the angles of each experiment in each of two faces
   /// (protocol/plan/faces.h). N is then even.
   int faces = 1;
+  std::string motion{kMotionNames[0]};
+  /// Constant rate: those of the sweeps of a circle in their order, up and down in turn; where there are more
+  /// sweeps, the list begins again.
+  std::vector<double> rate_deg_per_s{60.0, 20.0};
+  int sweeps = 2;  ///< Constant rate: sweeps of each circle.
+  int stops = 0;   ///< Constant rate: dwells at rest in each circle, evenly spaced.
+  /// Constant rate: with which the stage starts and ends a sweep.
+  double acceleration_deg_per_s2 = 80.0;
   bool closing_angle = true;  ///< Measure the first angle again, at alpha + 360 degrees.
   bool check_poses = true;    ///< Measure two poses at the start, between experiments and at the end.
   /// "abc", "joint", "norm": chosen before the first angle, so that the choice cannot depend on the result.
@@ -66,6 +78,7 @@ struct ProtocolConfig {
   double stability_s = 0.0;  ///< Outputs and temperature must be stable for this time before the first angle.
   double stability_timeout_s = 3600.0;  ///< Longest wait for that.
 
+  bool is_constant_rate() const { return motion == kMotionNames[1]; }
   bool operator==(const ProtocolConfig&) const = default;
 };
 

@@ -23,6 +23,15 @@ constexpr std::array kHeadQueries{
 /// Since version 5. Face 1 adds no row, so that the links of earlier versions stay valid.
 constexpr const char* kFacesOfPlan = "select position, face from plan where face <> 1 order by position";
 constexpr const char* kFaceOfDwell = "select face from dwell where id = :dwell and face <> 1";
+/// Angles at which the stage stands add no row either.
+constexpr const char* kSweepsOfPlan =
+    "select position, sweep, rate_deg_per_s from plan where sweep <> 0 order by position";
+constexpr const char* kMotionOfDwell =
+    "select sweep, rate_deg_per_s, acceleration_deg_per_s2, u_angle_deg from dwell where id = :dwell and "
+    "sweep is "
+    "not null";
+constexpr const char* kEncoderOfDwell =
+    "select k, time_ns, angle_deg from encoder_sample where dwell = :dwell order by k";
 constexpr const char* kSessionOfDwell =
     "select id, begun_utc, begun_utc_ns, origin_ns, monotonic_ns, boot_id, since_boot_ns, clock_offset_s,"
     " clock_error_s, program_version from session where id = (select session from dwell where id = :dwell)";
@@ -107,6 +116,12 @@ void add_rows_of_dwell(Sha256& hash, SqliteDatabase& database, const char* query
   add_rows(hash, rows);
 }
 
+void add_rows_of_version_5(Sha256& hash, SqliteDatabase& database, std::int64_t dwell) {
+  if (!has_faces(database)) return;
+  for (const char* query : {kFaceOfDwell, kMotionOfDwell, kEncoderOfDwell})
+    add_rows_of_dwell(hash, database, query, dwell);
+}
+
 }  // namespace
 
 std::string head_link(SqliteDatabase& database) {
@@ -116,8 +131,10 @@ std::string head_link(SqliteDatabase& database) {
     add_rows(hash, rows);
   }
   if (has_faces(database)) {
-    SqliteStatement rows = database.prepare(kFacesOfPlan);
-    add_rows(hash, rows);
+    for (const char* query : {kFacesOfPlan, kSweepsOfPlan}) {
+      SqliteStatement rows = database.prepare(query);
+      add_rows(hash, rows);
+    }
   }
   return hash.hexadecimal();
 }
@@ -162,7 +179,7 @@ std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string
   Sha256 hash;
   hash.add(before);
   for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash, database, query, dwell);
-  if (has_faces(database)) add_rows_of_dwell(hash, database, kFaceOfDwell, dwell);
+  add_rows_of_version_5(hash, database, dwell);
   add_rows_of_dwell(hash, database, has_reading_gaps(database) ? kReadings : kReadingsOfVersion3, dwell);
   return hash.hexadecimal();
 }
@@ -173,7 +190,7 @@ DwellLink::DwellLink(SqliteDatabase& database, std::int64_t dwell) : database_(d
   last.set("dwell", dwell);
   hash_.add(last.step() ? last.text("chain") : head_link(database));
   for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash_, database, query, dwell);
-  if (has_faces(database)) add_rows_of_dwell(hash_, database, kFaceOfDwell, dwell);
+  add_rows_of_version_5(hash_, database, dwell);
 }
 
 void DwellLink::add(const ReadingRow& reading) {

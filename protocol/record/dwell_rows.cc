@@ -20,7 +20,7 @@ constexpr double kNanosecondsPerSecond = 1e9;
 constexpr int kDoubleDigits = std::numeric_limits<double>::digits;
 constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
 
-constexpr std::array<std::string_view, 37> kDwellColumns{"id",
+constexpr std::array<std::string_view, 41> kDwellColumns{"id",
                                                          "position",
                                                          "item",
                                                          "role",
@@ -56,7 +56,13 @@ constexpr std::array<std::string_view, 37> kDwellColumns{"id",
                                                          "reading_interval_ns",
                                                          "first_temperature_degc",
                                                          "temperature_step_degc",
-                                                         "face"};
+                                                         "face",
+                                                         "sweep",
+                                                         "rate_deg_per_s",
+                                                         "acceleration_deg_per_s2",
+                                                         "u_angle_deg"};
+/// Those that files before version 5 lack, at the end.
+constexpr std::size_t kColumnsOfVersion5 = 5;
 
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
 /// nothing more is gained.
@@ -166,8 +172,8 @@ DwellRole role_of(SqliteDatabase& database, std::int64_t position, int item, con
   return dwell.closing ? DwellRole::kClosing : dwell.role;
 }
 
-/// Columns that all versions have alike, and the face of version 5.
-DwellRecord dwell_from(const SqliteStatement& row, bool with_face) {
+/// Columns that all versions have alike, and those of version 5.
+DwellRecord dwell_from(const SqliteStatement& row, bool of_version_5) {
   const auto angle = [&](std::string_view column) {
     const auto value = row.optional_real(column);
     return value ? std::optional(Angle::degrees(*value)) : std::nullopt;
@@ -196,7 +202,11 @@ DwellRecord dwell_from(const SqliteStatement& row, bool with_face) {
   if (row.optional_real("u_u")) dwell.u_mean = vector("u_u", "u_v", "u_w");
   dwell.temperature_degc = row.optional_real("temperature_degc");
   dwell.flags = static_cast<std::uint32_t>(row.integer("flags"));
-  if (with_face) dwell.face = static_cast<int>(row.integer("face"));
+  if (!of_version_5) return dwell;
+  dwell.face = static_cast<int>(row.integer("face"));
+  if (const auto sweep = row.optional_integer("sweep"))
+    dwell.motion = DwellMotion{static_cast<int>(*sweep), row.real("rate_deg_per_s"),
+                               row.real("acceleration_deg_per_s2"), row.real("u_angle_deg")};
   return dwell;
 }
 
@@ -246,18 +256,18 @@ std::optional<TemperatureScale> temperature_scale(std::span<const StoredReading>
 }
 
 void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
-                        std::span<const StoredReading> readings, std::optional<std::int64_t> id, int item) {
+                        std::span<const StoredReading> readings, const Row& of_row) {
   const ReadingConstants constants = constants_of(readings, times_.origin_ns);
   std::optional<std::int64_t> time_ns;
   if (dwell.time_s && std::isfinite(*dwell.time_s)) time_ns = nanoseconds(*dwell.time_s) - times_.origin_ns;
-  const bool with_face = has_faces(database_);  // The last column.
+  const bool of_version_5 = has_faces(database_);
   const std::span columns(kDwellColumns);
-  SqliteStatement row =
-      database_.prepare(insert_into("dwell", with_face ? columns : columns.first(columns.size() - 1)));
-  row.set("id", id)
+  SqliteStatement row = database_.prepare(
+      insert_into("dwell", of_version_5 ? columns : columns.first(columns.size() - kColumnsOfVersion5)));
+  row.set("id", of_row.id)
       .set("position", position)
-      .set("item", std::int64_t{item})
-      .set("role", to_string(role_of(database_, position, item, dwell)))
+      .set("item", std::int64_t{of_row.item})
+      .set("role", to_string(role_of(database_, position, of_row.item, dwell)))
       .set("session", times_.session)
       .set("experiment", std::int64_t{dwell.experiment})
       .set("n", std::int64_t{dwell.n})
@@ -278,7 +288,15 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
       .set("first_sequence", constants.first_sequence)
       .set("first_reading_ns", constants.first_ns)
       .set("reading_interval_ns", constants.interval_ns);
-  if (with_face) row.set("face", std::int64_t{dwell.face});
+  if (of_version_5) {
+    const std::optional<DwellMotion>& motion = dwell.motion;
+    row.set("face", std::int64_t{dwell.face})
+        .set("sweep", motion ? std::optional<std::int64_t>(motion->sweep) : std::nullopt)
+        .set("rate_deg_per_s", motion ? std::optional(motion->rate_deg_per_s) : std::nullopt)
+        .set("acceleration_deg_per_s2",
+             motion ? std::optional(motion->acceleration_deg_per_s2) : std::nullopt)
+        .set("u_angle_deg", motion ? std::optional(motion->u_angle_deg) : std::nullopt);
+  }
   if (times_.begun && time_ns) row.set("utc", format_utc(*times_.begun + Clock::Duration(*time_ns)));
   const auto& scale = constants.temperature;
   row.set("first_temperature_degc", scale ? std::optional(scale->first_degc) : std::nullopt)
@@ -291,6 +309,15 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   }
   row.run();
   const std::int64_t written = database_.last_row_id();
+  for (std::size_t k = 0; k < of_row.encoder.size(); ++k) {
+    database_
+        .prepare("insert into encoder_sample(dwell, k, time_ns, angle_deg) values(:dwell, :k, :time, :angle)")
+        .set("dwell", written)
+        .set("k", static_cast<std::int64_t>(k))
+        .set("time", nanoseconds(of_row.encoder[k].time_s) - times_.origin_ns)
+        .set("angle", of_row.encoder[k].angle_deg)
+        .run();
+  }
   write_readings(database_, written, readings, constants, times_.origin_ns);
 }
 

@@ -25,9 +25,14 @@ class DwellWriter {
  public:
   DwellWriter(SqliteDatabase& database, const SessionTimes& times) : database_(database), times_(times) {}
 
-  /// @param id of the row; absent: the next
+  /// Values of a row beside the dwell and its readings.
+  struct Row {
+    std::optional<std::int64_t> id{};  ///< Absent: the next.
+    int item = 1;
+    std::span<const EncoderSample> encoder{};
+  };
   void write(std::int64_t position, const DwellRecord& dwell, std::span<const StoredReading> readings,
-             std::optional<std::int64_t> id = std::nullopt, int item = 1);
+             const Row& row);
 
  private:
   SqliteDatabase& database_;

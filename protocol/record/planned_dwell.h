@@ -16,6 +16,7 @@ inline DwellRecord planned_dwell(const PlannedAngle& angle) {
   dwell.commanded_x = angle.x;
   dwell.commanded_z = angle.z;
   dwell.face = angle.face;
+  if (angle.sweep > 0) dwell.motion = DwellMotion{angle.sweep, angle.rate_deg_per_s};
   return dwell;
 }
 

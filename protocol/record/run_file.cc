@@ -520,7 +520,7 @@ std::vector<WitnessedLine> RunFile::witnessed(const std::filesystem::path& path)
 void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                            std::span<const StoredReading> readings, const RunTiming& timing) {
   impl_->append_angle(timing, [&](DwellWriter& writer) {
-    writer.write(static_cast<std::int64_t>(plan_position), dwell, readings);
+    writer.write(static_cast<std::int64_t>(plan_position), dwell, readings, {});
   });
 }
 
@@ -528,8 +528,17 @@ void RunFile::append_dwells(std::size_t plan_position, std::span<const ItemDwell
                             const RunTiming& timing) {
   impl_->append_angle(timing, [&](DwellWriter& writer) {
     for (const ItemDwell& each : dwells)
-      writer.write(static_cast<std::int64_t>(plan_position), each.dwell, each.readings, std::nullopt,
-                   each.item);
+      writer.write(static_cast<std::int64_t>(plan_position), each.dwell, each.readings, {.item = each.item});
+  });
+}
+
+void RunFile::append_sweep(std::span<const PassedAngle> angles, const RunTiming& timing) {
+  impl_->append_angle(timing, [&](DwellWriter& writer) {
+    for (const PassedAngle& angle : angles) {
+      for (const ItemDwell& each : angle.dwells)
+        writer.write(static_cast<std::int64_t>(angle.position), each.dwell, each.readings,
+                     {.item = each.item, .encoder = each.encoder});
+    }
   });
 }
 

@@ -195,11 +195,24 @@ struct ItemProgress {
   std::string reason;  ///< Why it was dropped.
 };
 
+/// Where an encoder said that an axis was while it turned.
+struct EncoderSample {
+  double time_s = 0.0;  ///< On the scale of DwellRecord::time_s.
+  double angle_deg = 0.0;
+};
+
 /// One item's part of a measured angle.
 struct ItemDwell {
   int item = 1;
   DwellRecord dwell;
   std::vector<StoredReading> readings;
+  std::vector<EncoderSample> encoder{};  ///< Those of a whole sweep, with the first of its angles.
+};
+
+/// The parts of all items at one angle of a sweep.
+struct PassedAngle {
+  std::size_t position = 0;  ///< In the plan.
+  std::vector<ItemDwell> dwells;
 };
 
 /// Contents of a run file except the single readings and the transcript of the wire. The parts that belong to
@@ -306,6 +319,8 @@ class RunFile {
                     std::span<const StoredReading> readings, const RunTiming& timing);
   /// Commits one angle of several items: all of them are on the disk, or none is.
   void append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells, const RunTiming& timing);
+  /// Commits a sweep: all of its angles are on the disk, or none is.
+  void append_sweep(std::span<const PassedAngle> angles, const RunTiming& timing);
   /// The run goes on without an item, from the angle at a position of the plan on.
   void drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why);
   void append_event(const std::string& utc, std::string_view kind, std::string_view text);

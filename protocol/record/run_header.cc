@@ -132,8 +132,9 @@ void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
 }
 
 void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angles) {
-  static constexpr std::array<std::string_view, 8> kColumns{"position",  "experiment", "n",     "closing",
-                                                            "alpha_deg", "x_deg",      "z_deg", "face"};
+  static constexpr std::array<std::string_view, 10> kColumns{"position",  "experiment",    "n",     "closing",
+                                                             "alpha_deg", "x_deg",         "z_deg", "face",
+                                                             "sweep",     "rate_deg_per_s"};
   SqliteStatement row = database.prepare(insert_into("plan", kColumns));
   for (std::size_t position = 0; position < angles.size(); ++position) {
     const PlannedAngle& angle = angles[position];
@@ -145,6 +146,8 @@ void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angle
         .set("x_deg", angle.x.deg())
         .set("z_deg", angle.z.deg())
         .set("face", std::int64_t{angle.face})
+        .set("sweep", std::int64_t{angle.sweep})
+        .set("rate_deg_per_s", angle.rate_deg_per_s)
         .run();
   }
 }
@@ -244,7 +247,10 @@ void read_plan(SqliteDatabase& database, std::vector<PlannedAngle>& plan) {
     plan.push_back({static_cast<int>(rows.integer("experiment")), static_cast<int>(rows.integer("n")),
                     rows.integer("closing") != 0, Angle::degrees(rows.real("alpha_deg")),
                     Angle::degrees(rows.real("x_deg")), Angle::degrees(rows.real("z_deg"))});
-    if (with_face) plan.back().face = static_cast<int>(rows.integer("face"));
+    if (!with_face) continue;
+    plan.back().face = static_cast<int>(rows.integer("face"));
+    plan.back().sweep = static_cast<int>(rows.integer("sweep"));
+    plan.back().rate_deg_per_s = rows.real("rate_deg_per_s");
   }
   // Angles outside the experiments are check poses, but those of a levelling are its measurement.
   if (!has_experiments(plan)) return;

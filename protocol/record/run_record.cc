@@ -42,6 +42,11 @@ std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record) {
   return all;
 }
 
+bool is_at_constant_rate(const RunRecord& record) {
+  return std::ranges::any_of(record.dwells,
+                             [](const DwellRecord& dwell) { return dwell.motion.has_value(); });
+}
+
 bool has_two_faces(const RunRecord& record) {
   return std::ranges::any_of(record.dwells, [](const DwellRecord& dwell) { return dwell.face == 2; });
 }

@@ -47,6 +47,16 @@ std::string_view to_string(DwellRole role);
 /// @return nothing for any other word
 std::optional<DwellRole> dwell_role_from(std::string_view word);
 
+/// How the stage passed an angle of a run at a constant rate.
+struct DwellMotion {
+  int sweep = 0;                ///< Number in its circle, from 1.
+  double rate_deg_per_s = 0.0;  ///< There; below zero: towards lower angles.
+  double acceleration_deg_per_s2 = 0.0;
+  /// Standard uncertainty of the angles of the whole sweep, from the scatter of its encoder samples: of their
+  /// mean, and of their course around the circle (rms).
+  double u_angle_deg = 0.0;
+};
+
 /// One angle of one experiment: the command, the encoder angle, and the accelerometer's readings.
 struct DwellRecord {
   int experiment = 0;    ///< 1, 2, 3 as in the paper.
@@ -69,7 +79,8 @@ struct DwellRecord {
   std::optional<Eigen::Vector3d> u_mean;
   std::optional<double> temperature_degc;
   std::uint32_t flags = kFlagNone;
-  int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
+  int face = 1;                       ///< 1 or 2 (protocol/plan/faces.h).
+  std::optional<DwellMotion> motion;  ///< Absent: the stage stood.
 };
 
 /// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
@@ -142,6 +153,9 @@ struct RunRecord {
 /// Whether the backlash of the axes is part of the readings: the run states that angles were not approached
 /// from below, and an axis turned both ways.
 bool backlash_is_left(const RunRecord& record);
+
+/// Whether angles that the stage passed at a constant rate are among the record's.
+bool is_at_constant_rate(const RunRecord& record);
 
 /// Whether dwells of the second face are among the record's.
 bool has_two_faces(const RunRecord& record);

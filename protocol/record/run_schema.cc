@@ -65,11 +65,20 @@ constexpr const char* kTablesOfVersion4 = R"(
 create table witness(id integer primary key, line text not null, signature blob not null);
 )";
 
-/// New in version 5: faces; and the losses of a dwell have a table of their own, as they are rare and a
-/// column would make each reading longer. From reading k on `skipped` readings are missing.
+/// New in version 5: faces; angles that the stage passes at a constant rate; and the losses of a dwell have a
+/// table of their own, as they are rare and a column would make each reading longer. From reading k on
+/// `skipped` readings are missing.
 constexpr const char* kChangesOfVersion5 = R"(
 alter table plan add column face integer not null default 1;
 alter table dwell add column face integer not null default 1;
+alter table plan add column sweep integer not null default 0;
+alter table plan add column rate_deg_per_s real not null default 0;
+alter table dwell add column sweep integer;
+alter table dwell add column rate_deg_per_s real;
+alter table dwell add column acceleration_deg_per_s2 real;
+alter table dwell add column u_angle_deg real;
+create table encoder_sample(dwell integer not null references dwell, k integer not null, time_ns integer, angle_deg real,
+                            primary key(dwell, k)) without rowid;
 create table reading_gap(dwell integer not null references dwell, k integer not null, skipped integer not null,
                          primary key(dwell, k)) without rowid;
 insert into reading_gap
@@ -266,7 +275,7 @@ void upgrade_run_schema_2_to_5(SqliteDatabase& database) {
   SqliteStatement ids = database.prepare("select id, position from dwell_2 order by id");
   while (ids.step()) {
     const DwellWithReadings old = read_dwell_of_version_2(database, ids.integer("id"));
-    writer.write(ids.integer("position"), old.dwell, old.readings, ids.integer("id"));
+    writer.write(ids.integer("position"), old.dwell, old.readings, {.id = ids.integer("id")});
   }
   ids.reset();
   database.execute("drop table reading_2; drop table dwell_2;");

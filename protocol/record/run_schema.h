@@ -11,7 +11,7 @@ namespace abcal {
 
 inline constexpr std::int64_t kRunFileApplicationId = 0x4142434C;  // "ABCL"
 /// 1: the first; 2: events are chained and say who; 3: sessions, items, roles, compact and chained readings;
-/// 4: the witness; 5: faces.
+/// 4: the witness; 5: faces, constant rate.
 inline constexpr std::int64_t kRunFileVersion = 5;
 
 /// Makes the tables and views of the present version in an empty file, and marks it as a run file.
@@ -20,7 +20,8 @@ void create_run_schema(SqliteDatabase& database);
 /// Version of the tables of an open run file.
 std::int64_t run_file_version(SqliteDatabase& database);
 
-/// Whether plan and dwells of an open run file say of which face they are (since version 5).
+/// Whether plan and dwells of an open run file say of which face they are, and whether the stage passed or
+/// stood (since version 5).
 bool has_faces(SqliteDatabase& database);
 
 /// Whether the losses within a dwell of an open run file are in the table reading_gap (since version 5),

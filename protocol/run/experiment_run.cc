@@ -16,6 +16,7 @@
 #include "protocol/run/item_channels.h"
 #include "protocol/run/motion.h"
 #include "protocol/run/recovery.h"
+#include "protocol/run/sweep_measurement.h"
 
 namespace abcal {
 namespace {
@@ -34,6 +35,7 @@ class ExperimentRun {
         items_(context, instruments, task.so_far.first_temperatures_degc),
         motion_(context, instruments.stage),
         measurement_(context, motion_, items_),
+        sweeps_(context, motion_, items_),
         recovery_(context, instruments, items_) {}
 
   RunTiming run() {
@@ -80,6 +82,12 @@ class ExperimentRun {
     for (std::size_t position = 0; position < plan_.size(); ++position) {
       if (measured_.contains(position)) continue;
       hold_if_wanted(position);
+      if (plan_[position].sweep > 0) {
+        std::vector<PassedAngle> passed = sweeps_.measure(plan_, position);
+        drop_failed();
+        commit_sweep(passed);
+        continue;
+      }
       std::vector<ItemDwell> measured = measurement_.measure(position, plan_[position]);
       drop_failed();
       commit(position, measured);
@@ -138,10 +146,19 @@ class ExperimentRun {
     journal.record("continued", describe(plan_[position]));
   }
 
+  /// One angle; of a sweep, with the whole of it.
+  std::vector<ItemDwell> measure_again(std::size_t position) {
+    if (plan_[position].sweep == 0) return measurement_.measure(position, plan_[position]);
+    std::size_t first = position;
+    while (first > 0 && end_of_sweep(plan_, first - 1) > position) --first;
+    std::vector<PassedAngle> passed = sweeps_.measure(plan_, first);
+    return std::move(passed.at(position - first).dwells);
+  }
+
   /// After an interruption: measures the last angle again, whose readings must not have changed.
   void measure_last_again(const RunProgress::LastAngle& last) {
     const PlannedAngle& angle = plan_[last.position];
-    std::vector<ItemDwell> measured = measurement_.measure(last.position, angle);
+    std::vector<ItemDwell> measured = measure_again(last.position);
     drop_failed();
     for (ItemDwell& each : measured) {
       const auto before = last.dwells.find(each.item);
@@ -171,21 +188,42 @@ class ExperimentRun {
 
   void commit(std::size_t position, std::vector<ItemDwell>& measured) {
     const bool is_check = measured_.contains(position);  // The file has this angle already.
-    const bool last = position + 1 == plan_.size() || !is_same_circle(plan_[position + 1], plan_[position]);
-    for (ItemDwell& each : measured) {
-      ItemChannel& channel = items_.of(each.item);
-      if (is_check) continue;
-      if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last)) {
-        each.dwell.flags |= kFlagNorm;
-        channel.context.notify("full scale", *excess);
-      }
-    }
+    if (!is_check) flag_full_scale(position, measured);
     context_.journal.check_system_clock();
     file_.append_dwells(position, measured, context_.stopwatch.timing());
     for (const StageEvent& event : instruments_.stage.take_events())
       context_.journal.notify(event.kind, event.text);
     for (const ItemDwell& each : measured) remember(each);
     if (is_check) return;
+    tell(position, measured);
+  }
+
+  /// All angles of a sweep at once.
+  void commit_sweep(std::vector<PassedAngle>& passed) {
+    for (PassedAngle& angle : passed) flag_full_scale(angle.position, angle.dwells);
+    context_.journal.check_system_clock();
+    file_.append_sweep(passed, context_.stopwatch.timing());
+    for (const StageEvent& event : instruments_.stage.take_events())
+      context_.journal.notify(event.kind, event.text);
+    for (PassedAngle& angle : passed) {
+      for (const ItemDwell& each : angle.dwells) remember(each);
+      tell(angle.position, angle.dwells);
+    }
+  }
+
+  void flag_full_scale(std::size_t position, std::vector<ItemDwell>& measured) {
+    const bool last = position + 1 == plan_.size() || !is_same_circle(plan_[position + 1], plan_[position]);
+    for (ItemDwell& each : measured) {
+      ItemChannel& channel = items_.of(each.item);
+      if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last)) {
+        each.dwell.flags |= kFlagNorm;
+        channel.context.notify("full scale", *excess);
+      }
+    }
+  }
+
+  /// Tells the observer of an angle that is on the disk.
+  void tell(std::size_t position, std::vector<ItemDwell>& measured) {
     measured_.insert(position);
     context_.journal.dwells(position, measured);
     const auto comparable = [](const ItemDwell& each) { return can_be_compared_with(each.dwell); };
@@ -201,6 +239,7 @@ class ExperimentRun {
       channel.context.notify(kFlagEvent,
                              fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
     channel.plausibility.remember(dwell);
+    if (dwell.motion) return;  // Its spread is that of a moving stage.
     channel.settling.spreads().add(dwell.spread, channel.context.accelerometer_info.resolution.value_or(0.0));
   }
 
@@ -229,6 +268,7 @@ class ExperimentRun {
   ItemChannels items_;
   Motion motion_;
   DwellMeasurement measurement_;
+  SweepMeasurement sweeps_;
   Recovery recovery_;
 };
 

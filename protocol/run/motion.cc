@@ -12,6 +12,10 @@ namespace {
 
 /// An axis that the controller calls stopped may still creep into the window; after this it will not.
 constexpr double kStoppedOutsideWindowS = 1.0;
+/// During a sweep the state of the motion is asked for with each of this many angles, and with each when the
+/// end is nearer than this time at the rate.
+constexpr std::size_t kStateEvery = 8;
+constexpr double kNearEndS = 0.2;
 
 }  // namespace
 
@@ -48,6 +52,38 @@ std::optional<Clock::Instant> Motion::move_to(StageAxis axis, Angle target) {
   const Clock::Instant stopped = carry_out({axis, target, protocol.position_window, protocol.window_polls});
   known = target;
   return stopped;
+}
+
+std::vector<AngleSample> Motion::sweep(StageAxis axis, Angle target, double rate_deg_per_s,
+                                       const std::function<void()>& look) {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  known_[index(axis)].reset();
+  const double expected_s = std::abs((target - stage_.encoder_angle(axis)).deg()) / rate_deg_per_s +
+                            rate_deg_per_s / protocol.acceleration_deg_per_s2;
+  stage_.set_speed(axis, rate_deg_per_s);
+  stage_.move_to(axis, target);
+  const Clock::Instant begin = context_.clock.now();
+  const Clock::Instant deadline = begin + from_seconds(expected_s + protocol.motion_timeout_s);
+  const Move move{axis, target, protocol.position_window, protocol.window_polls};
+  std::vector<AngleSample> samples;
+  while (true) {
+    const Clock::Instant asked = context_.clock.now();
+    const double angle_deg = stage_.encoder_angle(axis).deg();
+    const Clock::Instant told = context_.clock.now();
+    samples.push_back({asked + (told - asked) / 2, angle_deg});
+    look();
+    // The state is asked for rarely: each question costs samples.
+    const bool near_end = std::abs(angle_deg - target.deg()) < kNearEndS * rate_deg_per_s;
+    if ((near_end || samples.size() % kStateEvery == 0) && stage_.motion_state(axis) == MotionState::kStopped)
+      break;
+    if (told > deadline) fail_still_moving(move, to_seconds(told - begin), expected_s);
+    context_.clock.wait_until(told + from_seconds(protocol.poll_interval_s));
+  }
+  wait_for_arrival(move, 0.0);
+  look();
+  stage_.set_speed(axis, std::nullopt);
+  known_[index(axis)] = target;
+  return samples;
 }
 
 /// @return when the axis was first found stopped inside the window.

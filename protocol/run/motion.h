@@ -1,12 +1,15 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "drivers/instrument/rotation_stage.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/run_context.h"
+#include "protocol/run/sweep_angle.h"
 
 namespace abcal {
 
@@ -26,6 +29,13 @@ class Motion {
   /// @return when it was first found there; nothing if it had stood there already.
   /// @throws InstrumentError kStalled: it did not arrive, or stopped outside the window. RunInterrupted.
   std::optional<Clock::Instant> move_to(StageAxis axis, Angle target);
+
+  /// Turns an axis at a rate to an angle and waits until it stands there. The way to the rate belongs to the
+  /// turn. @param look  called between two questions to the encoder
+  /// @return the encoder's angles while it turned
+  /// @throws InstrumentError as move_to(); kRefused: the stage cannot turn at this rate
+  std::vector<AngleSample> sweep(StageAxis axis, Angle target, double rate_deg_per_s,
+                                 const std::function<void()>& look);
 
   /// Where the axes stand is not known any more: the next move_to() moves even to the same angle.
   void forget_positions() { known_.fill(std::nullopt); }

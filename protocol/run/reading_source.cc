@@ -26,6 +26,15 @@ std::vector<Reading> ReadingSource::read(std::size_t count) {
   return readings;
 }
 
+std::vector<Reading> ReadingSource::take() {
+  context_.clock.throw_if_stopped();
+  take_waiting();
+  std::vector<Reading> taken(waiting_.begin(), waiting_.end());
+  waiting_.clear();
+  if (taken.empty() && failure_) throw InstrumentError(*failure_);
+  return taken;
+}
+
 Reading ReadingSource::read_one() {
   if (!waiting_.empty()) {
     Reading reading = std::move(waiting_.front());

@@ -28,6 +28,10 @@ class ReadingSource {
   /// @throws InstrumentError kNoReply after reading_timeout_s without any, kLinkLost. RunInterrupted.
   std::vector<Reading> read(std::size_t count);
 
+  /// The readings that have arrived and were not read; does not wait.
+  /// @throws InstrumentError kLinkLost
+  std::vector<Reading> take();
+
   /// Discards readings that arrived before now.
   void discard_pending() {
     waiting_.clear();

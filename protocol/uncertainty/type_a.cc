@@ -55,7 +55,7 @@ MeasuredAcs MeasuredAcs::not_measured(const RunRecord& record) {
   measured.step = measured.repeatability = record.tolerances.step;
   std::vector<double> sd;
   for (const StageEffect& effect : stage_effects()) {
-    if (effect.face != 1) continue;
+    if (effect.face != 1 || effect.in_motion) continue;
     for (int i = 0; i < effect.count; ++i) {
       measured.state.names.push_back(unknown_name(effect, i));
       sd.push_back(effect.prior(record.tolerances));

@@ -35,6 +35,32 @@ INSTANTIATE_TEST_SUITE_P(All, InstrumentPairs,
                            return std::get<0>(pair.param).name + "_with_" + std::get<1>(pair.param).name;
                          });
 
+/// The same bench, with its circles swept at 60 degrees/s up and 20 down.
+std::string at_constant_rate(std::string bench) {
+  bench = replaced(bench, "steps = 12\nstep_deg = 30.0\nsettle_s = 0.05\n",
+                   "motion = \"constant_rate\"\nsteps = 36\nstep_deg = 10.0\nsettle_s = \"auto\"\n");
+  return bench;
+}
+
+class ConstantRate : public ProgramTest, public testing::WithParamInterface<StageCase> {};
+
+TEST_P(ConstantRate, CalibratesToWithinFourStandardUncertainties) {
+  for (const AccelerometerCase& accelerometer : accelerometers()) {
+    if (accelerometer.name != "microstrain_mip") continue;
+    test::write_file(folder / "bench.toml",
+                     at_constant_rate(bench_text(GetParam(), accelerometer, "simulated", "simulated",
+                                                 "simulated", "simulated")));
+    const ProgramResult run = abcal({"run", "bench.toml", "-o", "a.run"});
+    ASSERT_EQ(run.exit_code, 0) << run.err << run.out;
+    const ProgramResult truth = abcal({"analyse", "a.run", "--truth", "bench.toml"});
+    EXPECT_EQ(truth.exit_code, 0) << truth.out;
+    EXPECT_THAT(truth.out, HasSubstr("agrees"));
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(EachStage, ConstantRate, testing::ValuesIn(stages()),
+                         [](const auto& stage) { return stage.param.name; });
+
 struct Wired {
   std::string stage, accelerometer;
   bool tcp = false;

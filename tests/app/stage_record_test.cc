@@ -37,7 +37,7 @@ TEST(StageRecordStudyTest, ReachesTheFiguresAndItsErrorsAgreeWithThem) {
   ASSERT_EQ(study.outcomes.size(), kStageExperiments);
   for (const StageExperimentOutcome& outcome : study.outcomes) {
     EXPECT_EQ(outcome.failed, 0) << outcome.words;
-    for (const StageGroup& group : outcome.groups) EXPECT_LT(group.rms_z, 1.6) << outcome.words;
+    for (const ErrorGroup& group : outcome.groups) EXPECT_LT(group.rms_z, 1.6) << outcome.words;
   }
   EXPECT_EQ(study.alarms.sound, 24);
   EXPECT_LE(study.alarms.sound_contradicted, 2);

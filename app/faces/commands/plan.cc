@@ -100,6 +100,9 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
                               {"alpha_deg", angle.alpha.deg()},
                               {"x_deg", angle.x.deg()},
                               {"z_deg", angle.z.deg()}});
+    if (angle.sweep == 0) continue;
+    json["angles"].back()["sweep"] = angle.sweep;
+    json["angles"].back()["rate_deg_per_s"] = angle.rate_deg_per_s;
   }
   return json;
 }
@@ -109,8 +112,9 @@ void print_angles(const std::vector<PlannedAngle>& angles) {
                "Z/deg");
   for (std::size_t k = 0; k < angles.size(); ++k) {
     const PlannedAngle& angle = angles[k];
-    print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}{}\n", k + 1, angle.experiment, angle.n,
+    print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}{}{}\n", k + 1, angle.experiment, angle.n,
                  angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.face == 2 ? "  face 2" : "",
+                 angle.sweep > 0 ? fmt::format("  at {:g} deg/s", angle.rate_deg_per_s) : "",
                  angle.closing ? "  closing angle"
                  : angle.check ? "  check pose"
                                : "");

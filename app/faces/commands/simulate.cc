@@ -11,6 +11,7 @@
 #include <thread>
 
 #include "app/faces/commands/accelerometer_file.h"
+#include "app/faces/commands/simulate_constant_rate.h"
 #include "app/faces/commands/simulate_joint.h"
 #include "app/faces/commands/simulate_robustness.h"
 #include "app/faces/commands/simulate_stage_records.h"
@@ -72,7 +73,8 @@ void add_common_options(CLI::App& command, SimulateOptions& options) {
           "SET", options.set,
           "one of " + sets +
               "; joint: the joint estimator's coverage; robustness: coverage and verdicts on benches that "
-              "break the model; or stage-records: faces, mountings and records of a stage")
+              "break the model; stage-records: faces, mountings and records of a stage; or constant-rate: "
+              "runs at a constant rate")
       ->required();
   command.add_option("--trials", options.trials, "simulations (default: as many as in the paper)");
   command.add_option("--seed", options.seed, "seed of the random numbers")->capture_default_str();
@@ -112,7 +114,9 @@ void add_joint_options(CLI::App& command, SimulateOptions& options) {
 
 void add_robustness_options(CLI::App& command, SimulateOptions& options) {
   const char* const group = "robustness study";
-  command.add_option("--benches", options.benches, "simulated benches of each scenario")
+  command
+      .add_option("--benches", options.benches,
+                  "simulated benches of each scenario, or of each design at a constant rate")
       ->group(group)
       ->capture_default_str();
   command
@@ -165,6 +169,15 @@ int run_stage_record_study(const SimulateOptions& options) {
   study.seed = not_negative("--seed", options.seed);
   study.threads = threads_of(options.threads);
   return simulate_stage_records(study, options.json);
+}
+
+int run_constant_rate_study(const SimulateOptions& options) {
+  require_not_given(options, false, false, "--benches, --seed, --threads and --json");
+  ConstantRateOptions study;
+  study.benches = static_cast<int>(not_negative("--benches", options.benches));
+  study.seed = not_negative("--seed", options.seed);
+  study.threads = threads_of(options.threads);
+  return simulate_constant_rate(study, options.json);
 }
 
 int run_joint_study(const SimulateOptions& options) {
@@ -250,6 +263,7 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     exit_code = options->set == "robustness"      ? run_robustness_study(*options)
                 : options->set == "joint"         ? run_joint_study(*options)
                 : options->set == "stage-records" ? run_stage_record_study(*options)
+                : options->set == "constant-rate" ? run_constant_rate_study(*options)
                                                   : run_set(*options);
   });
   return command;

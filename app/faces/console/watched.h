@@ -51,6 +51,9 @@ class WatchedStage final : public RotationStage {
   StageInfo identify() override { return stage_->identify(); }
   void home(StageAxis axis) override { stage_->home(axis); }
   void move_to(StageAxis axis, Angle target) override;
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    stage_->set_speed(axis, deg_per_s);
+  }
   MotionState motion_state(StageAxis axis) override { return stage_->motion_state(axis); }
   Angle encoder_angle(StageAxis axis) override;
   bool halt() noexcept override { return halt_axes().all_halted(); }

@@ -200,6 +200,58 @@ void check_stage_axes(TomlReader& reader, const toml::table& root, const BenchCo
   }
 }
 
+/// Reports plans at a constant rate that cannot be measured, as far as it is known before.
+void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
+  const ProtocolConfig& p = c.protocol;
+  const bool by_hand = !c.stage.split() && c.stage.driver != "simulated" &&
+                       !find_in(driver_catalogue().stages, c.stage.driver).has_port;
+  if (by_hand)
+    reader.add_problem("protocol.motion", "\"constant_rate\" with driver \"" + c.stage.driver + "\"",
+                       "a stage that turns at a stated rate, or \"steps\"");
+  if (p.faces == kFaces)
+    reader.add_problem("protocol.faces", "2 with motion = \"constant_rate\"", "faces = 1");
+  if (!c.temperature.set_points_degc.empty())
+    reader.add_problem("protocol.motion", "\"constant_rate\" with [temperature] set_points_degc",
+                       "\"steps\"");
+  if (!c.stage.record.empty())
+    reader.add_problem("protocol.motion", "\"constant_rate\" with [stage] record",
+                       "\"steps\": a record says nothing of a stage that turns");
+  if (p.estimator != kDefaultEstimator)
+    reader.add_problem("protocol.estimator", "\"" + p.estimator + "\" with motion = \"constant_rate\"",
+                       "\"joint\"");
+  if (p.rate_deg_per_s.empty()) {
+    reader.add_problem("protocol.rate_deg_per_s", "an empty list", "a rate at least, as [60, 20]");
+    return;
+  }
+  if (p.stops > 0 && p.steps % p.stops != 0)
+    reader.add_problem("protocol.stops", fmt::format("{} with {} steps", p.stops, p.steps),
+                       "0, or a number that divides steps");
+  const auto [slowest, fastest] = std::ranges::minmax(p.rate_deg_per_s);
+  const bool one_rate = slowest == fastest || p.sweeps < 2;
+  for (const BenchItemConfig& item : c.items) {
+    if (one_rate && p.stops == 0 && !item.tolerances.sources.contains("low_pass")) {
+      reader.add_problem(
+          "protocol.rate_deg_per_s", fmt::format("one rate, {:g} deg/s, and no stops", fastest),
+          "a second rate, stops, or a stated [item_uncertainty] low_pass: a loss of amplitude at this rate "
+          "cannot be told from the sensitivity at rest");
+      break;
+    }
+  }
+  constexpr double kLeastReadings = 8.0;
+  for (const BenchItemConfig& item : c.items) {
+    const double readings = item.accelerometer.settings.rate_hz * p.step.deg() / fastest;
+    if (readings >= kLeastReadings) continue;
+    reader.add_problem(
+        "protocol.rate_deg_per_s",
+        fmt::format("{:g} deg/s, at which {:.2g} readings at {:g} Hz fall on a step of {:g} deg", fastest,
+                    readings, item.accelerometer.settings.rate_hz, p.step.deg()),
+        fmt::format("at least {:g} readings: a lower rate, larger steps (steps = {}, step_deg = "
+                    "{:g}) or more readings a second",
+                    kLeastReadings, p.steps / 2, 2.0 * p.step.deg()));
+    break;
+  }
+}
+
 void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
   if (c.protocol.step.deg() * (c.protocol.steps - 1) >= 360.0) {
     reader.add_problem("protocol.steps",
@@ -218,6 +270,7 @@ void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
         c.has_several_items() ? "2 with several items" : "2 with [temperature] set_points_degc",
         "faces = 1: several items and series over temperature are measured in one face");
   }
+  if (c.protocol.is_constant_rate()) check_constant_rate(reader, c);
   const LimitsConfig& limits = c.items.front().limits;
   if (!(limits.temperature_min_degc < limits.temperature_max_degc)) {
     reader.add_problem("limits.temperature_min_degc",

@@ -50,6 +50,7 @@ void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTru
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kSpeed);
   keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kAcceleration);
   keys.angle("encoder_resolution_deg", axis.encoder_resolution, kAngleSize);
+  keys.number("rate_ripple", axis.rate_ripple, {0.0, 0.1});
   visit_axis_effects(keys, axis);
   keys.list("harmonics", axis.harmonics, sim::ErrorHarmonic{},
             [](KeyVisitor& entry, sim::ErrorHarmonic& harmonic) {
@@ -59,6 +60,8 @@ void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTru
             });
   visit_axis_wobble(keys, axis);
 }
+
+constexpr Range kPosition{-1000.0, 1000.0};
 
 void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.matrix("sensitivity_matrix", s.sensitivity_matrix, kResponse);
@@ -86,6 +89,14 @@ void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.vector("sensitivity_per_degc3", s.sensitivity_per_degc3, kRelativeChange);
   keys.vector("offset_thermal_hysteresis", s.offset_thermal_hysteresis, kResponse);
   keys.vector("sensitivity_thermal_hysteresis", s.sensitivity_thermal_hysteresis, kRelativeChange);
+  keys.number("low_pass_hz", s.low_pass_hz, {0.0, 1e6});
+  keys.integer("low_pass_order", s.low_pass_order, 1, 2);
+  keys.number("group_delay_s", s.group_delay_s, {0.0, 10.0});
+  keys.number("time_stamp_jitter_s", s.time_stamp_jitter_s, {0.0, 1.0});
+  keys.vector("rate_offset", s.rate_offset, kResponse);
+  keys.vector("position_u_mm", s.position_u_mm, kPosition);
+  keys.vector("position_v_mm", s.position_v_mm, kPosition);
+  keys.vector("position_w_mm", s.position_w_mm, kPosition);
 }
 
 void visit_bench(KeyVisitor& keys, BenchConfig& c) {
@@ -217,12 +228,20 @@ void visit_temperature(KeyVisitor& keys, TemperatureConfig& t) {
   keys.text("end", t.end, {"hold", "ambient", "off"});
 }
 
+/// Up to here the uncertainties are known to cover (docs/constant_rate.md).
+constexpr Range kSweepRate{0.0, 60.0, true};
+
 void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
   keys.integer("steps", p.steps, 4, 7200);
   keys.angle("step_deg", p.step, {0.0, 180.0, true});
   keys.integer("faces", p.faces, 1, 2);
   keys.text("estimator", p.estimator, {kEstimatorNames.begin(), kEstimatorNames.end()});
+  keys.text("motion", p.motion, {kMotionNames.begin(), kMotionNames.end()});
+  keys.numbers("rate_deg_per_s", p.rate_deg_per_s, kSweepRate);
+  keys.integer("sweeps", p.sweeps, 1, 100);
+  keys.integer("stops", p.stops, 0, 72);
+  keys.number("acceleration_deg_per_s2", p.acceleration_deg_per_s2, kAcceleration);
   keys.boolean("closing_angle", p.closing_angle);
   keys.boolean("check_poses", p.check_poses);
   keys.angle("approach_deg", p.approach, {0.0, 45.0});
@@ -271,6 +290,9 @@ void visit_simulation(KeyVisitor& keys, sim::StageTruth& s, sim::OutputTruth* ou
   keys.number("xz", s.xz, {-0.1, 0.1});
   keys.number("zx_per_degc", s.zx_per_degc, {-1e-3, 1e-3});
   visit_world_effects(keys, s);
+  keys.number("axes_distance_mm", s.axes_distance_mm, {-1000.0, 1000.0});
+  keys.number("encoder_latency_s", s.encoder_latency_s, {0.0, 10.0});
+  keys.number("encoder_jitter_s", s.encoder_jitter_s, {0.0, 1.0});
   keys.section("simulation.chamber");
   keys.number("air_lag_s", s.chamber.air_lag_s, kTime);
   keys.number("item_lag_s", s.chamber.item_lag_s, kTime);
@@ -405,6 +427,7 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   visit_chamber(keys, c.chamber);
   visit_temperature(keys, c.temperature);
   visit_protocol(keys, c.protocol);
+  if (c.protocol.is_constant_rate()) first.tolerances = with_effects_of_motion(first.tolerances);
   visit_effect_sizes(keys, first.tolerances, states_items, c.warnings);
   if (states_items) {
     keys.section("limits");

@@ -156,6 +156,26 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "([measurement](measurement.md#two-faces)). `steps` must then be even and at least 8. 1: as in the "
         "published protocol.",
         ""}},
+      {"protocol.motion",
+       {"`\"steps\"`: the stage stands at each angle, as in the published protocol. `\"constant_rate\"`: it "
+        "turns "
+        "through each circle at constant rates while readings stream; readings within one step about an "
+        "angle "
+        "count as its own ([constant rate](constant_rate.md)).",
+        ""}},
+      {"protocol.rate_deg_per_s",
+       {"Constant rate: rates of the sweeps of a circle, up and down in turn; the list begins again if there "
+        "are "
+        "more sweeps.",
+        "degree/s"}},
+      {"protocol.sweeps", {"Constant rate: sweeps of each circle.", ""}},
+      {"protocol.stops",
+       {"Constant rate: dwells at rest in each circle, evenly spaced, which tie the results to rest.", ""}},
+      {"protocol.acceleration_deg_per_s2",
+       {"Constant rate: acceleration with which the controller starts and ends a sweep, at least. The travel "
+        "must "
+        "have room for it.",
+        "degree/s^2"}},
       {"protocol.closing_angle",
        {"Measures the first angle of each experiment again, one turn on, to show drift.", ""}},
       {"protocol.check_poses",
@@ -326,6 +346,25 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.AXIS.speed_deg_per_s", {"Speed until the driver sets another.", ""}},
       {"simulation.AXIS.acceleration_deg_per_s2", {"Acceleration.", ""}},
       {"simulation.AXIS.encoder_resolution_deg", {"Smallest step of the encoder.", ""}},
+      {"simulation.AXIS.rate_ripple",
+       {"Standard deviation of sine and cosine of each of six harmonics of the rate while the axis turns; "
+        "the "
+        "encoder sees them.",
+        "1"}},
+      {"simulation.low_pass_hz", {"Corner of a low-pass behind all bends of the outputs; 0: none.", ""}},
+      {"simulation.low_pass_order", {"1, or 2: two such filters, one behind the other.", ""}},
+      {"simulation.group_delay_s", {"Further delay of all outputs.", ""}},
+      {"simulation.time_stamp_jitter_s", {"Readings arrive late by this times |normal|.", ""}},
+      {"simulation.rate_offset",
+       {"Offset at 60 degrees/s about either axis; proportional to the rate.", "R"}},
+      {"simulation.position_u_mm",
+       {"Position of the element of u on the platter: x and y from the Z axis, z from the X axis.", "mm"}},
+      {"simulation.position_v_mm", {"Likewise of v.", "mm"}},
+      {"simulation.position_w_mm", {"Likewise of w.", "mm"}},
+      {"simulation.axes_distance_mm", {"From the X axis to the Z axis, along y where Z is at 0.", "mm"}},
+      {"simulation.encoder_latency_s",
+       {"While an axis turns, its encoder says where it was this long ago,", ""}},
+      {"simulation.encoder_jitter_s", {"and further by this times |normal|.", ""}},
       {"simulation.AXIS.harmonics.order", {"Order m of the harmonic of the axis's error map.", ""}},
       {"simulation.AXIS.harmonics.sin_deg", {"Coefficient of sin(m angle).", ""}},
       {"simulation.AXIS.harmonics.cos_deg", {"Coefficient of cos(m angle) - 1.", ""}},

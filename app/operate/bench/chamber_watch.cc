@@ -24,6 +24,9 @@ class WatchedStage final : public RotationStage {
     watch_.poll();
     stage_->move_to(axis, target);
   }
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
+    stage_->set_speed(axis, deg_per_s);
+  }
   MotionState motion_state(StageAxis axis) override {
     watch_.poll();
     return stage_->motion_state(axis);

@@ -68,6 +68,10 @@ void GuardedStage::move_to(StageAxis axis, Angle target) {
   });
 }
 
+void GuardedStage::set_speed(StageAxis axis, std::optional<double> deg_per_s) {
+  guarded([&] { stage_->set_speed(axis, deg_per_s); });
+}
+
 MotionState GuardedStage::motion_state(StageAxis axis) {
   const MotionState state = guarded([&] { return stage_->motion_state(axis); });
   if (state == MotionState::kStopped) guard_->end_motion(axis);

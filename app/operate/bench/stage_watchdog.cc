@@ -122,6 +122,11 @@ void StageWatchdog::move_to(StageAxis axis, Angle target) {
   heard([&] { stage_->move_to(axis, target); });
 }
 
+void StageWatchdog::set_speed(StageAxis axis, std::optional<double> deg_per_s) {
+  throw_if_halted();
+  heard([&] { stage_->set_speed(axis, deg_per_s); });
+}
+
 MotionState StageWatchdog::motion_state(StageAxis axis) {
   throw_if_halted();
   const MotionState state = heard([&] { return stage_->motion_state(axis); });

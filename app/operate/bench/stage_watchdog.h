@@ -57,6 +57,7 @@ class StageWatchdog final : public RotationStage {
   StageInfo identify() override;
   void home(StageAxis axis) override;
   void move_to(StageAxis axis, Angle target) override;
+  void set_speed(StageAxis axis, std::optional<double> deg_per_s) override;
   MotionState motion_state(StageAxis axis) override;
   Angle encoder_angle(StageAxis axis) override;
   bool halt() noexcept override { return halt_axes().all_halted(); }

@@ -40,6 +40,23 @@ Json output_quantities(const Range& range) {
   return list;
 }
 
+Json motion_json(const MotionResult& motion) {
+  Json json;
+  json["responses"] = Json::array();
+  for (const RateResponse& response : motion.responses)
+    json["responses"].push_back({{"rate_deg_per_s", response.rate_deg_per_s},
+                                 {"frequency_hz", response.frequency_hz},
+                                 {"amplitude", quantities(response.amplitude)},
+                                 {"phase_beyond_delay", quantity(response.phase)}});
+  json["position"] = Json::array();
+  for (const auto& element : motion.position) json["position"].push_back(quantities(element));
+  json["delay"] = quantities(motion.delay);
+  json["delay_difference"] = quantities(motion.delay_difference);
+  json["rate_offset"] = quantities(motion.rate_offset);
+  json["axes_distance"] = quantity(motion.axes_distance);
+  return json;
+}
+
 template <class Matrix>
 Json matrix(const std::optional<Matrix>& m) {
   if (!m) return nullptr;
@@ -232,6 +249,7 @@ Json result_json(const CalibrationResult& result) {
     json["nonlinearity"] = {
         {"k2", quantities(joint.k2)}, {"k3", quantities(joint.k3)}, {"fitted", joint.nonlinearity_fitted}};
     json["drift_at_end"] = quantities(joint.drift_at_end);
+    if (joint.motion) json["motion"] = motion_json(*joint.motion);
     const NormAgreement& test = joint.norm_against_joint;
     json["norm_against_joint"] = {{"statistic", test.done ? json_number(test.statistic) : Json(nullptr)},
                                   {"degrees_of_freedom", test.degrees_of_freedom},

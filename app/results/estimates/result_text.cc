@@ -96,6 +96,24 @@ void stage_errors(std::string& text, const JointResult& joint) {
   }
 }
 
+/// Adds what the turning shows beside the response at rest.
+void add_motion(std::string& text, const MotionResult& motion) {
+  text += "\nResponse relative to rest, of u, v, w (standard uncertainty)\n";
+  for (const RateResponse& response : motion.responses) {
+    text += fmt::format("  {:>6.4g} degree/s, {:.4f} Hz  amplitude", response.rate_deg_per_s,
+                        response.frequency_hz);
+    for (const Quantity& q : response.amplitude) text += " " + value_with_uncertainty(q);
+    text += "\n";
+    text += fmt::format("  {:>27}  phase beyond that of a delay {} degree\n", "",
+                        value_with_uncertainty(response.phase));
+  }
+  text += "Accelerometer and stage where it turns\n";
+  for (std::size_t j = 0; j < 3; ++j)
+    row(text, fmt::format("r_{0}{1}", kAccelerometers[j], kAxes[j]), motion.position[j][j]);
+  row(text, "delay X", motion.delay[0]);
+  row(text, "delay Z", motion.delay[1]);
+}
+
 /// The ABC result of each face, and the difference, which shows errors of the stage.
 std::string faces_text(const FaceResults& faces) {
   std::string text = "\nBy each face alone (ABC); face 1 minus face 2 in standard uncertainties\n";
@@ -280,6 +298,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
   if (result.published) text += published_text(*result.published);
   if (result.model_equation) add_model_equation(text, *result.model_equation);
   if (result.joint) stage_errors(text, *result.joint);
+  if (result.joint && result.joint->motion) add_motion(text, *result.joint->motion);
   if (result.norm) add_poses(text, *result.norm);
   if (!d.fits.empty()) add_fits(text, d, result.response_unit);
   if (!d.closures.empty()) add_closures(text, d);

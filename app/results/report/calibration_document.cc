@@ -192,8 +192,36 @@ std::string tolerances_text(const RunRecord& record) {
   return text;
 }
 
+/// The method of a run in which the stage turned.
+Section constant_rate_method(const RunRecord& record) {
+  Section section{"Method", {}};
+  std::vector<double> rates;
+  for (const DwellRecord& dwell : record.dwells) {
+    if (!dwell.motion) continue;
+    const double rate = std::round(dwell.motion->rate_deg_per_s * 10.0) / 10.0;
+    if (std::ranges::find(rates, rate) == rates.end()) rates.push_back(rate);
+  }
+  section.blocks.push_back(Paragraph{fmt::format(
+      "Three rotation experiments in the local field of gravity at constant rates (M. Gaitan and J. Geist, "
+      "Measurement 189, 110528, 2022): 1 about the horizontal axis X; 2 about X with Z turned by -90 "
+      "degrees; 3 "
+      "about Z with X turned by -90 degrees. In each the stage turns through the circle at {:g} degree/s "
+      "while "
+      "the item is read, and the readings within half a step about each of {} angles {:g} degrees apart are "
+      "reduced to the value at that angle.",
+      fmt::join(rates, ", "), record.steps, record.step.deg())});
+  section.blocks.push_back(Paragraph{
+      "All angles are fitted together with the errors of the stage, the delay and the loss of amplitude of "
+      "the item, "
+      "and the positions of its elements; the results are those at rest. Uncertainty: type A from the "
+      "scatter of the "
+      "readings, autocorrelation taken into account; type B from the stated sizes of the effects."});
+  return section;
+}
+
 Section method_section(const ReportData& data) {
   const RunRecord& record = data.record;
+  if (is_at_constant_rate(record)) return constant_rate_method(record);
   Section section{"Method", {}};
   section.blocks.push_back(Paragraph{fmt::format(
       "Three rotation experiments in the local field of gravity (ABC protocol: J. Geist and M. Gaitan, J. "

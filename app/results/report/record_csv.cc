@@ -139,6 +139,12 @@ bool tells_items(std::span<const ReportData> items) {
 }  // namespace
 
 std::string averaged_csv(std::span<const ReportData> items) {
+  if (is_at_constant_rate(items.front().record))
+    throw std::invalid_argument(
+        fmt::format("{}: the stage turned at constant rates, for which the columns of this CSV have no "
+                    "place; required: a run "
+                    "in steps. The run file itself is SQLite, and HDF5 has all of it",
+                    items.front().path.string()));
   const bool with_item = tells_items(items);
   std::string flags;
   for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)

@@ -20,8 +20,6 @@
 namespace abcal {
 namespace {
 
-constexpr double kCoverageFactor = 1.959963984540054;
-
 struct Design {
   StageExperiment experiment;
   std::string_view words;
@@ -153,7 +151,7 @@ class Trial {
 /// Errors and standard uncertainties of one experiment on one stage, group by group.
 struct TrialOutcome {
   bool solved = false;
-  std::array<std::vector<std::pair<double, double>>, kStageGroups> error_and_u;
+  std::array<ErrorsAndU, kStageGroups> error_and_u;
   void add(std::size_t group, double error, double variance) {
     error_and_u[group].emplace_back(error, std::sqrt(variance));
   }
@@ -302,23 +300,6 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
   return out;
 }
 
-/// Probability, from resampled stages, of a mean as far from 1 as that of these mean squares.
-double probability_of_one(const std::vector<double>& z2, std::uint64_t seed) {
-  constexpr int kResamples = 4000;
-  if (z2.size() < 2) return 1.0;
-  ScenarioDraw draw(seed, 0xB007, z2.size());
-  int below = 0, above = 0;
-  for (int i = 0; i < kResamples; ++i) {
-    double sum = 0.0;
-    for (std::size_t k = 0; k < z2.size(); ++k) {
-      const auto at = static_cast<std::size_t>(draw.uniform() * static_cast<double>(z2.size()));
-      sum += z2[std::min(at, z2.size() - 1)];
-    }
-    (sum < static_cast<double>(z2.size()) ? below : above) += 1;
-  }
-  return std::min(1.0, 2.0 * (std::min(below, above) + 1.0) / (kResamples + 1.0));
-}
-
 StageExperimentOutcome summed(const Design& design, const std::vector<const TrialOutcome*>& trials,
                               std::uint64_t seed) {
   StageExperimentOutcome out{.experiment = design.experiment,
@@ -327,31 +308,9 @@ StageExperimentOutcome summed(const Design& design, const std::vector<const Tria
                              .groups = {}};
   for (const TrialOutcome* trial : trials) out.failed += trial->solved ? 0 : 1;
   for (std::size_t g = 0; g < kStageGroups; ++g) {
-    StageGroup& group = out.groups[g];
-    group.limit = design.limit[g];
-    double u2 = 0.0, error2 = 0.0, covered = 0.0, count = 0.0, z2_sum = 0.0;
-    std::vector<double> z2_of_trial;
-    for (const TrialOutcome* trial : trials) {
-      if (trial->error_and_u[g].empty()) continue;
-      double z2 = 0.0;
-      for (const auto& [error, u] : trial->error_and_u[g]) {
-        u2 += u * u;
-        error2 += error * error;
-        const double z = std::abs(error / u);
-        z2 += z * z;
-        covered += z <= kCoverageFactor ? 1.0 : 0.0;
-        group.most_z = std::max(group.most_z, z);
-        count += 1.0;
-      }
-      z2_sum += z2;
-      z2_of_trial.push_back(z2 / static_cast<double>(trial->error_and_u[g].size()));
-    }
-    if (count == 0.0) continue;
-    group.rms_u = std::sqrt(u2 / count);
-    group.rms_error = std::sqrt(error2 / count);
-    group.rms_z = std::sqrt(z2_sum / count);
-    group.coverage = covered / count;
-    group.probability = probability_of_one(z2_of_trial, seed + g);
+    std::vector<ErrorsAndU> of_group;
+    for (const TrialOutcome* trial : trials) of_group.push_back(trial->error_and_u[g]);
+    out.groups[g] = error_group(of_group, design.limit[g], seed + g);
   }
   return out;
 }
@@ -391,7 +350,7 @@ std::vector<std::string> StageRecordStudy::missed() const {
   std::vector<std::string> out;
   for (const StageExperimentOutcome& outcome : outcomes)
     for (std::size_t g = 0; g < kStageGroups; ++g)
-      if (const StageGroup& group = outcome.groups[g]; group.limit > 0.0 && group.rms_u > group.limit)
+      if (const ErrorGroup& group = outcome.groups[g]; group.limit > 0.0 && group.rms_u > group.limit)
         out.push_back(fmt::format("{}, {}: u {:.2g}, figure {:.2g}", outcome.words, stage_group_names()[g],
                                   group.rms_u, group.limit));
   return out;

@@ -8,6 +8,8 @@
 #include <string_view>
 #include <vector>
 
+#include "app/studies/study/error_group.h"
+
 namespace abcal {
 
 /// Experiments that measure better than one run of three circles (docs/theory/series.md).
@@ -34,24 +36,12 @@ struct StageRecordOptions {
   std::function<void(int done, int planned)> progress = {};
 };
 
-/// One group of outputs of one experiment, over all stages.
-struct StageGroup {
-  double rms_u = 0.0;      ///< Root mean square of the stated standard uncertainties: 1, or degree (phi).
-  double rms_error = 0.0;  ///< Likewise of the errors.
-  double rms_z = 0.0;      ///< Root mean square of error / u.
-  double coverage = 0.0;   ///< Share of 95 % intervals with the truth.
-  double most_z = 0.0;     ///< Largest |error / u|.
-  /// Probability of a mean of z^2 as far from 1 as this one if 1 is right, from resampled stages.
-  double probability = 1.0;
-  double limit = 0.0;  ///< Figure of the design that rms_u is to reach; 0: none.
-};
-
 struct StageExperimentOutcome {
   StageExperiment experiment{};
   std::string words;
   int stages = 0;
   int failed = 0;  ///< Fits without a solution.
-  std::array<StageGroup, kStageGroups> groups;
+  std::array<ErrorGroup, kStageGroups> groups;
 };
 
 /// How often the test of a record contradicts it (docs/theory/series.md).

@@ -17,7 +17,7 @@ std::string stage_record_text(const StageRecordStudy& study) {
     if (outcome.failed > 0) text += fmt::format("; {} without a solution", outcome.failed);
     text += "\n";
     for (std::size_t g = 0; g < kStageGroups; ++g) {
-      const StageGroup& group = outcome.groups[g];
+      const ErrorGroup& group = outcome.groups[g];
       if (!(group.rms_u > 0.0)) continue;
       const std::string limit = group.limit > 0.0 ? fmt::format("({:.1e})", group.limit) : "";
       text +=
@@ -55,7 +55,7 @@ nlohmann::ordered_json stage_record_json(const StageRecordStudy& study) {
                                {"failed", outcome.failed},
                                {"groups", nlohmann::ordered_json::array()}};
     for (std::size_t g = 0; g < kStageGroups; ++g) {
-      const StageGroup& group = outcome.groups[g];
+      const ErrorGroup& group = outcome.groups[g];
       if (!(group.rms_u > 0.0)) continue;
       one["groups"].push_back({{"name", stage_group_names()[g]},
                                {"unit", stage_group_names()[g] == "phi" ? "degree" : "1"},

@@ -356,7 +356,8 @@ double worth(const Change& change, double readings) {
 }
 
 /// Readings in order of time. An uncertainty below the median of its output is raised to it: small by chance.
-std::vector<EffectReading> readings_in_time(const RunRecord& record, ChangeScan& scan, bool& u_known) {
+std::vector<EffectReading> readings_in_time(const RunRecord& record, ChangeScan& scan,
+                                            EffectFitOptions& options) {
   const CollectedReadings data = collect_readings(record);
   if (data.readings.size() < 5) throw UnusableData("fewer than 5 usable angles");
   std::vector<std::size_t> order(data.readings.size());
@@ -368,8 +369,9 @@ std::vector<EffectReading> readings_in_time(const RunRecord& record, ChangeScan&
     readings.push_back(data.readings[i]);
     scan.dwells.push_back(data.dwells[i]);
   }
-  u_known = data.u_known;
-  if (!u_known) return readings;
+  options.white_known = data.u_known;
+  options.sweeps = data.sweeps;
+  if (!data.u_known) return readings;
   for (int j = 0; j < 3; ++j) {
     std::vector<double> u;
     for (const EffectReading& reading : readings) u.push_back(reading.u(j));
@@ -463,11 +465,9 @@ void find_changes(LinearModel& model, const RunRecord& record, ChangeScan& scan)
 
 ChangeScan scan_for_changes(const RunRecord& record) {
   ChangeScan scan;
-  bool u_known = false;
-  const std::vector<EffectReading> readings = readings_in_time(record, scan, u_known);
-  EffectModel model(
-      readings,
-      {.sizes = record.tolerances, .measured_alignment = record.measured_alignment, .white_known = u_known});
+  EffectFitOptions options{.sizes = record.tolerances, .measured_alignment = record.measured_alignment};
+  const std::vector<EffectReading> readings = readings_in_time(record, scan, options);
+  EffectModel model(readings, options);
   std::set<std::size_t> left_out;
   // A sound run needs one pass; others need more until the set of wrong angles stays the same.
   constexpr int kMostFits = 4;

@@ -770,6 +770,8 @@ void note_type_a(const Selection& selection, const Estimate& estimate, Calibrati
 
 // The reason why the record cannot be analysed; empty if it may be.
 std::string refusal(const RunRecord& record, const Selection& selection) {
+  if (is_at_constant_rate(record))
+    return "the stage turned at constant rates: the joint estimator evaluates such a run";
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
     if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {

@@ -50,7 +50,7 @@ void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, con
   for (const StageEffect& entry : stage_effects()) {
     const bool in_run =
         std::ranges::any_of(places.poses, [&](const StagePose& pose) { return pose.face >= entry.face; });
-    if (!in_run) continue;
+    if (!in_run || entry.in_motion) continue;
     const auto [unit, size] = shown_unit(entry);
     for (int i = 0; i < entry.count; ++i) {
       const std::string which = entry.unknown_name(i);
@@ -76,6 +76,7 @@ void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, cons
                       const std::string& response_unit, std::vector<InputEffect>& effects) {
   const Eigen::Matrix3d rows = s.rowwise().normalized();
   for (const ItemEffect& entry : item_effects()) {
+    if (entry.in_motion) continue;
     for (int i = 0; i < entry.count; ++i) {
       for (int j = 0; j < 3; ++j) {
         const std::string which = entry.unknown_name(i);

@@ -9,6 +9,7 @@
 #include <map>
 #include <numbers>
 #include <stdexcept>
+#include <string_view>
 #include <tuple>
 #include <utility>
 
@@ -210,6 +211,13 @@ void TrayAnalysis::choose_members() {
       if (sound(k)) members_.push_back(k);
     }
   }
+  if (records_.size() > 1 && is_at_constant_rate(records_.front())) {
+    // Delays of the items are among the unknowns of the stage that they would share.
+    members_.clear();
+    for (const std::size_t k : solved)
+      out_.items[k].why_not = "at a constant rate each item is evaluated by itself";
+    return;
+  }
   if (members_.empty()) members_ = solved;
   for (const std::size_t k : solved) {
     if (std::find(members_.begin(), members_.end(), k) == members_.end())
@@ -276,6 +284,15 @@ void TrayAnalysis::agree() {
   }
 }
 
+/// Unit in which an unknown of the stage is shown, and how many of it are one of the fit's.
+std::pair<double, const char*> shown_unit(std::string_view key) {
+  if (key == "alignment_deg") return {1.0, "1"};
+  if (key == "wobble_urad") return {kUradPerRadian, "urad"};
+  if (key == "delay_s") return {1.0, "s"};
+  if (key == "axes_distance_mm") return {1e3, "mm"};
+  return {kDegreesPerRadian, "degree"};
+}
+
 void TrayAnalysis::fill_stage(double level) {
   const EffectFit& stage = fit_.stage;
   TrayStage& out = out_.stage.emplace();
@@ -283,16 +300,10 @@ void TrayAnalysis::fill_stage(double level) {
   for (std::size_t i = 0; i < stage.unknowns.size(); ++i) {
     const EffectUnknown& unknown = stage.unknowns[i];
     const auto at = static_cast<Eigen::Index>(i);
-    const bool turn = unknown.key != "alignment_deg";
-    const bool wobble = unknown.key == "wobble_urad";
+    if (unknown.key == "sweep_deg") continue;  // Only of this run's sweeps.
+    const auto [factor, unit] = shown_unit(unknown.key);
     out.unknowns.push_back({unknown.effect, unknown.name,
-                            scaled_quantity(stage.value(at), stage.covariance(at, at),
-                                            wobble ? kUradPerRadian
-                                            : turn ? kDegreesPerRadian
-                                                   : 1.0,
-                                            wobble ? "urad"
-                                            : turn ? "degree"
-                                                   : "1")});
+                            scaled_quantity(stage.value(at), stage.covariance(at, at), factor, unit)});
   }
   for (std::size_t a = 0; a < stage.step_error.size(); ++a) {
     const DwellRecord& angle = *angles_.angles()[a];

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include "protocol/estimators/joint/effect_fit.h"
@@ -17,6 +18,10 @@ struct CollectedReadings {
   int not_finite = 0;
   /// Every reading in use states an uncertainty above zero. If not, `u` is a first guess, the same for all.
   bool u_known = false;
+  std::vector<SweepSize> sweeps;  ///< Those of a run at a constant rate, in the order of measurement.
+  /// About X and about Z: a first estimate of the delay of the item behind the encoder (s). The angles of the
+  /// readings are those that the item saw with this delay.
+  std::array<double, 2> delay_s{};
 };
 
 /// In a run of two faces closing angles and angles of 0 degrees have step errors of any size (step_factor),

@@ -25,6 +25,17 @@ struct EffectReading {
   int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
   /// Its step error of its own is this times an unknown of the size `step_deg` (collect_readings.h).
   double step_factor = 1.0;
+  // Where the stage turns: of the axis that moves, and the number of its sweep in EffectFitOptions::sweep_sd.
+  double rate_radps = 0.0;
+  double acceleration_radps2 = 0.0;
+  int sweep = -1;           ///< -1: it stands.
+  double turned_rad = 0.0;  ///< Since the middle of the sweep.
+};
+
+/// Knowledge of the angles of one sweep, as standard deviations (radian).
+struct SweepSize {
+  double mean = 0.0;    ///< Size of an error that is common to its angles.
+  double course = 0.0;  ///< Size of the error's course around the circle, rms of each part (sweep_shares()).
 };
 
 /// The signs of the hysteresis that a fit takes at each reading (ItemPoint::came_from). A change D of the
@@ -43,6 +54,7 @@ struct EffectFitOptions {
   bool noise_process = true;  ///< false: the noise is white.
   bool white_known = true;    ///< false: u is a first guess; the white noise of each output is estimated.
   std::optional<HysteresisSigns> signs = std::nullopt;  ///< Absent: those of the solution.
+  std::vector<SweepSize> sweeps{};                      ///< Those of a run at a constant rate.
   /// S_j (R), the relative unit, so that runs of one item have one. Absent: that of the linear solution.
   std::optional<Eigen::Vector3d> unit = std::nullopt;
 };

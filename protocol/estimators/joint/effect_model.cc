@@ -105,6 +105,9 @@ void EffectModel::check_readings() const {
                    "a reading, its angle or its time is not a finite number");
     effect_require(at.u.allFinite() && at.u.minCoeff() > 0.0,
                    "the standard uncertainty of a reading is not a finite number greater than zero");
+    effect_require(at.sweep < static_cast<int>(options_.sweeps.size()) && std::isfinite(at.rate_radps) &&
+                       std::isfinite(at.acceleration_radps2),
+                   "a reading names a sweep that the options do not have, or a rate that is not finite");
   }
   for (const EffectSizeKey& key : effect_size_keys()) {
     const double size = key.get(options_.sizes);
@@ -123,6 +126,7 @@ const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effec
 }
 
 bool EffectModel::is_in_run(const StageEffect& effect) const {
+  if (effect.in_motion && !in_motion()) return false;
   return std::any_of(readings_.begin(), readings_.end(),
                      [&](const EffectReading& at) { return at.face >= effect.face; });
 }
@@ -132,6 +136,7 @@ void EffectModel::choose_unknowns() {
   const EffectSizes& sizes = options_.sizes;
   for (const ItemEffect& effect : item_effects()) {
     if (!is_fitted(effect, sizes, options_.drift, options_.nonlinearity)) continue;
+    if (effect.in_motion && !in_motion()) continue;
     for (int i = 0; i < effect.count; ++i) layout_.own.push_back({&effect, i});
   }
   for (const StageEffect& effect : stage_effects()) {
@@ -146,6 +151,7 @@ void EffectModel::choose_unknowns() {
     for (const EffectReading& at : readings_) layout_.maps = std::max(layout_.maps, at.map + 1);
   }
   step_sd_ = layout_.maps > 0 ? 0.0 : step;
+  layout_.sweeps = static_cast<int>(options_.sweeps.size());
 }
 
 EffectUnknown EffectModel::stage_unknown(const StageEffect& effect, int index) const {
@@ -185,6 +191,7 @@ void EffectModel::list_unknowns() {
     unknowns_.push_back({"step errors", fmt::format("step error of pose {}", i + 1), "step_deg", -1, 0.0,
                          step_prior(options_.sizes)});
   }
+  list_sweeps();
   prior_weight_ = Eigen::VectorXd::Zero(layout_.count());
   prior_mean_ = Eigen::VectorXd::Zero(layout_.count());
   for (std::size_t i = 0; i < unknowns_.size(); ++i) {
@@ -192,6 +199,15 @@ void EffectModel::list_unknowns() {
     prior_mean_(at) = unknowns_[i].prior_mean;
     if (std::isfinite(unknowns_[i].prior_sd))
       prior_weight_(at) = 1.0 / (unknowns_[i].prior_sd * unknowns_[i].prior_sd);
+  }
+}
+
+void EffectModel::list_sweeps() {
+  for (std::size_t k = 0; k < options_.sweeps.size(); ++k) {
+    const SweepSize& size = options_.sweeps[k];
+    for (int i = 0; i < kSweepUnknowns; ++i)
+      unknowns_.push_back({"angles of the sweeps", fmt::format("angles of sweep {}, part {}", k + 1, i + 1),
+                           "sweep_deg", -1, 0.0, i == 0 ? size.mean : size.course});
   }
 }
 
@@ -203,6 +219,9 @@ void EffectModel::start_from_linear_fit() {
   shares_.reserve(readings_.size() * layout_.stage.size());
   for (const EffectReading& at : readings_) {
     poses_.push_back(StagePose::of(at.experiment, at.face, at.sin_alpha, at.cos_alpha));
+    poses_.back().rate_radps = at.rate_radps;
+    poses_.back().acceleration_radps2 = at.acceleration_radps2;
+    if (in_motion()) sweep_shares_.push_back(sweep_shares(at.turned_rad));
     gravity.push_back(gravity_alone(poses_.back(), perfect));
     values.push_back(at.value);
     for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
@@ -328,6 +347,13 @@ StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
   const int map = map_of(n);
   inputs(moving_angle_input(readings_[n].experiment)) +=
       map >= 0 ? value(layout_.first_map() + map) : steps[n] * readings_[n].step_factor;
+  if (const int sweep = readings_[n].sweep; sweep >= 0) {
+    double error = 0.0;
+    for (int i = 0; i < kSweepUnknowns; ++i)
+      error += sweep_shares_[n][static_cast<std::size_t>(i)] *
+               value(layout_.first_sweep() + kSweepUnknowns * sweep + i);
+    inputs(moving_angle_input(readings_[n].experiment)) += error;
+  }
   return inputs;
 }
 
@@ -346,13 +372,21 @@ Eigen::VectorXd EffectModel::readings_at(const Eigen::VectorXd& value, const std
   Eigen::VectorXd out(3 * static_cast<Eigen::Index>(readings_.size()));
   const Eigen::Matrix3d at_value = rows_of(value);
   for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const Eigen::Vector3d g = gravity_alone(poses_[n], inputs_at(n, value, steps));
-    const ItemPoint point{readings_[n].t, at_value * g, came_from[n]};
+    const StageInputs inputs = inputs_at(n, value, steps);
+    GravityAt gravity;
+    if (readings_[n].sweep >= 0) {
+      gravity = gravity_at(poses_[n], inputs);
+    } else {
+      gravity.g = gravity_alone(poses_[n], inputs);
+    }
+    ItemPoint point = point_at(n, at_value, gravity, inputs);
+    point.came_from = came_from[n];
     for (int j = 0; j < 3; ++j) {
       const int first = layout_.own_count() * j;
+      const ItemPoint bent = bent_point(point, j, value);
       double reading = point.y(j) + value(first + 3);
       for (std::size_t i = 0; i < layout_.own.size(); ++i)
-        reading += layout_.own[i].effect->share(point, j, layout_.own[i].index).value *
+        reading += layout_.own[i].effect->share(bent, j, layout_.own[i].index).value *
                    value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
       out(3 * static_cast<Eigen::Index>(n) + j) = reading;
     }
@@ -364,8 +398,9 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   const auto stage_count = static_cast<int>(layout_.stage.size());
   const StageShare* shares = shares_.data() + n * layout_.stage.size();
   const int moving = moving_angle_input(readings_[n].experiment);
-  const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
-  const ItemPoint point{readings_[n].t, rows * gravity.g, signs_.mean[n]};
+  const StageInputs inputs = inputs_at(n);
+  const GravityAt gravity = gravity_at(poses_[n], inputs);
+  const ItemPoint point = point_at(n, rows, gravity, inputs);
   const Eigen::Matrix<double, 3, kStageInputs> by_input = rows * gravity.by_input;
 
   At out;
@@ -373,10 +408,11 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
     double* row = jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data();
     std::fill_n(row, layout_.count(), 0.0);
     const int first = layout_.own_count() * j;
+    const ItemPoint bent = bent_point(point, j, value_);
     double reading = point.y(j) + value_(first + 3);
     Eigen::Vector3d slope = Eigen::Vector3d::Unit(j);  // by the linear responses of u, v, w
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const ItemShare share = layout_.own[i].effect->share(point, j, layout_.own[i].index);
+      const ItemShare share = layout_.own[i].effect->share(bent, j, layout_.own[i].index);
       const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
       reading += share.value * value_(column);
       slope(j) += share.by_y * value_(column);
@@ -397,8 +433,49 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
           by(shares[k].input) * shares[k].value + by(shares[k].second_input) * shares[k].second_value;
     }
     if (const int map = map_of(n); map >= 0) row[layout_.first_map() + map] = out.by_step(j);
+    if (const int sweep = readings_[n].sweep; sweep >= 0) {
+      double* of_sweep = row + layout_.first_sweep() + std::ptrdiff_t{kSweepUnknowns} * sweep;
+      for (std::size_t i = 0; i < kSweepUnknowns; ++i) of_sweep[i] = out.by_step(j) * sweep_shares_[n][i];
+    }
   }
   return out;
+}
+
+/// The point with the swing of an output as its effects bend it.
+ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
+  ItemPoint out = point;
+  if (point.rate_radps == 0.0) return out;
+  // The response to all acceleration bends, that of its own place included.
+  for (std::size_t i = 0; i < layout_.own.size(); ++i)
+    if (layout_.own[i].effect->key == "position_mm")
+      out.y(output) += layout_.own[i].effect->share(point, output, layout_.own[i].index).value *
+                       value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
+  Eigen::Vector3d slope = Eigen::Vector3d::Unit(output);
+  double curvature = 0.0;
+  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+    if (layout_.own[i].effect->in_motion) continue;
+    const ItemShare share = layout_.own[i].effect->share(out, output, layout_.own[i].index);
+    const double p = value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
+    slope(output) += share.by_y * p;
+    slope((output + 1) % 3) += share.by_next * p;
+    slope((output + 2) % 3) += share.by_last * p;
+    curvature += share.by_y_twice * p;
+  }
+  out.swing(output) = bent_swing(point, output, slope, curvature);
+  return out;
+}
+
+/// The item at a reading, with the signs of this point.
+ItemPoint EffectModel::point_at(std::size_t n, const Eigen::Matrix3d& rows, const GravityAt& gravity,
+                                const StageInputs& inputs) const {
+  ItemPoint point{readings_[n].t, rows * gravity.g, signs_.mean[n]};
+  if (readings_[n].sweep < 0) return point;
+  point.turn(poses_[n], rows, gravity);
+  // The acceleration of what turns with the platter is the same all around the circle.
+  const Eigen::Vector3d axis = poses_[n].axis_in_platter();
+  const Eigen::Vector3d force = inputs.segment<3>(kInputForceX);
+  point.swing -= rows * (force - axis * axis.dot(force));
+  return point;
 }
 
 void EffectModel::evaluate() {
@@ -470,7 +547,7 @@ Eigen::Vector3d EffectModel::least_white() const {
 ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) const {
   std::vector<EffectColumn> columns;
   for (const ItemEffect& effect : item_effects()) {
-    if (effect.prior(options_.sizes) > 0.0) continue;
+    if (effect.prior(options_.sizes) > 0.0 || (effect.in_motion && !in_motion())) continue;
     for (int j = 0; j < 3; ++j) {
       for (int i = 0; i < effect.count; ++i) {
         columns.push_back({nullptr, &effect, i, j});
@@ -490,9 +567,10 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
   ReadingRows out = ReadingRows::Zero(residual_.size(), static_cast<Eigen::Index>(columns.size()));
   const Eigen::Matrix3d at_value = rows();
   for (std::size_t n = 0; n < readings_.size() && !columns.empty(); ++n) {
-    const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
+    const StageInputs inputs = inputs_at(n);
+    const GravityAt gravity = gravity_at(poses_[n], inputs);
     const Eigen::Matrix<double, 3, kStageInputs> by_input = at_value * gravity.by_input;
-    const ItemPoint point{readings_[n].t, at_value * gravity.g, signs_.mean[n]};
+    const ItemPoint point = point_at(n, at_value, gravity, inputs);
     auto three = out.middleRows<3>(3 * static_cast<Eigen::Index>(n));
     for (std::size_t c = 0; c < columns.size(); ++c)
       three.col(static_cast<Eigen::Index>(c)) =

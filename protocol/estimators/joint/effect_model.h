@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <optional>
 #include <span>
 #include <string>
@@ -14,7 +15,7 @@ using Vector12 = Eigen::Matrix<double, 12, 1>;
 using Rows12 = Eigen::Matrix<double, 12, Eigen::Dynamic>;
 
 /// Columns of the unknowns of an effect_fit(): output u (s, O, its effects), v, w, then the stage, then step
-/// errors that several readings share.
+/// errors that several readings share, then errors of the angles of each sweep.
 struct EffectLayout {
   struct StageUnknown {
     const StageEffect* effect;
@@ -29,10 +30,12 @@ struct EffectLayout {
   std::vector<OwnUnknown> own;
   std::vector<StageUnknown> stage;
   int maps = 0;
+  int sweeps = 0;
   int own_count() const { return kOwnFixed + static_cast<int>(own.size()); }
   int first_stage() const { return 3 * own_count(); }
   int first_map() const { return first_stage() + static_cast<int>(stage.size()); }
-  int count() const { return first_map() + maps; }
+  int first_sweep() const { return first_map() + maps; }
+  int count() const { return first_sweep() + kSweepUnknowns * sweeps; }
 };
 
 /// The line response of an item, s row by row and O: relative units.
@@ -139,6 +142,12 @@ class EffectModel {
   void list_unknowns();
   EffectUnknown stage_unknown(const StageEffect& effect, int index) const;
   bool is_in_run(const StageEffect& effect) const;
+  /// Whether the stage turns at any of the readings.
+  bool in_motion() const { return !options_.sweeps.empty(); }
+  void list_sweeps();
+  ItemPoint bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
+  ItemPoint point_at(std::size_t n, const Eigen::Matrix3d& rows, const GravityAt& gravity,
+                     const StageInputs& inputs) const;
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_signs();
@@ -160,6 +169,7 @@ class EffectModel {
   std::vector<EffectUnknown> unknowns_;
   std::vector<StagePose> poses_;
   std::vector<StageShare> shares_;  ///< Shares of the stage unknowns in reading 0, in reading 1, ...
+  std::vector<std::array<double, kSweepUnknowns>> sweep_shares_;  ///< For each reading, in motion.
   Eigen::Vector3d unit_;
   Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
   HysteresisSigns signs_;

@@ -83,6 +83,7 @@ ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
                  .mean_step = options.mean_step,
                  .noise_process = options.noise_process,
                  .white_known = own.data.u_known,
+                 .sweeps = own.data.sweeps,
                  .unit = options.unit};
   if (own.data.readings.size() < kFewestAngles) {
     own.why = fmt::format("{} usable angles; the joint estimator needs {} or more", own.data.readings.size(),

@@ -185,6 +185,56 @@ JointResult joint_outputs(const EffectFit& fit, const std::string& unit) {
   return out;
 }
 
+/// The rates of a run, each once, by rising size: those of sweeps within 1 % of each other are one.
+std::vector<double> rates_of(const CollectedReadings& data) {
+  constexpr double kSame = 0.01;
+  std::vector<std::pair<double, double>> sweeps(data.sweeps.size());  // Sum and number.
+  for (const EffectReading& reading : data.readings) {
+    if (reading.sweep < 0) continue;
+    auto& [sum, count] = sweeps[static_cast<std::size_t>(reading.sweep)];
+    sum += std::abs(reading.rate_radps);
+    count += 1.0;
+  }
+  std::vector<double> rates;
+  for (const auto& [sum, count] : sweeps)
+    if (count > 0.0) rates.push_back(sum / count);
+  std::ranges::sort(rates);
+  const auto same = [](double a, double b) { return std::abs(b - a) < kSame * b; };
+  rates.erase(std::unique(rates.begin(), rates.end(), same), rates.end());
+  return rates;
+}
+
+MotionResult motion_outputs(const EffectFit& fit, const CollectedReadings& data, const std::string& unit) {
+  MotionResult out;
+  const auto own = [&](const char* effect, int j, int i, double factor, const char* in) {
+    return unknown_quantity(fit, place_of(fit, effect, j, i), factor, in);
+  };
+  for (const double rate : rates_of(data)) {
+    RateResponse& response = out.responses.emplace_back();
+    response.rate_deg_per_s = rate * kDegreesPerRadian;
+    response.frequency_hz = rate / (2.0 * std::numbers::pi);
+    const double relative = rate / kReferenceRate;
+    for (int j = 0; j < 3; ++j) {
+      const auto at = static_cast<std::size_t>(j);
+      Quantity& amplitude = response.amplitude[at] = own("low-pass", j, 0, relative * relative, "1");
+      amplitude.value = 1.0 - amplitude.value;
+    }
+    response.phase = own("phase", -1, 0, std::pow(relative, 3) * kDegreesPerRadian, "degree");
+  }
+  constexpr double kMmPerM = 1e3;
+  for (int j = 0; j < 3; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    for (int k = 0; k < 3; ++k)
+      out.position[at][static_cast<std::size_t>(k)] = own("apparent position", j, k, kMmPerM, "mm");
+    out.delay_difference[at] = own("delay", j, 0, 1.0, "s");
+    out.rate_offset[at] = own("offset with the rate", j, 0, fit.unit(j), unit.c_str());
+  }
+  out.delay = {own("delay about X", -1, 0, 1.0, "s"), own("delay about Z", -1, 0, 1.0, "s")};
+  for (std::size_t axis = 0; axis < 2; ++axis) out.delay[axis].value += data.delay_s[axis];
+  out.axes_distance = own("distance of the axes", -1, 0, kMmPerM, "mm");
+  return out;
+}
+
 void fill_gravity_of(const RunRecord& record, CalibrationResult& result) {
   result.g_loc.unit = "m/s2";
   if (!record.g_loc_known) return;
@@ -228,6 +278,7 @@ CalibrationResult joint_result(const RunRecord& record, const ItemFit& own, cons
   result.unstated_effects = unstated_effects(record.tolerances);
   result.model_equation = model_equation_of(fit, record.response_unit);
   result.joint = joint_outputs(fit, record.response_unit);
+  if (!data.sweeps.empty()) result.joint->motion = motion_outputs(fit, data, record.response_unit);
   result.joint->shares = fit.shares;
   fill_step_errors(fit, data, record, *result.joint);
   diagnostics.degrees_of_freedom = fit.chi2_degrees_of_freedom;

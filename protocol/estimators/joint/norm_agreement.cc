@@ -195,6 +195,10 @@ double autocorrelation_of(const NormSolution& norm) {
 NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, const EffectFit& fit,
                                       const EffectFitOptions& options) {
   NormAgreement out;
+  if (!options.sweeps.empty()) {
+    out.why_not = "where the stage turns, centripetal acceleration and delays add to the norm";
+    return out;
+  }
   const ModelReadings model(readings, fit, options);
   const double size = fit.unit.mean();
   const Eigen::Vector3d centre = fit.line.tail<3>();

@@ -150,7 +150,7 @@ Tray::Tray(std::span<const TrayMember> members, std::span<const TrayAngle> angle
     if (!same || model(k).step_sd() != model(0).step_sd())
       throw std::invalid_argument("tray fit: the items do not state the same stage");
   }
-  stage_count_ = static_cast<Eigen::Index>(first.stage.size());
+  stage_count_ = first.count() - first.first_stage();  // With the angles of the sweeps.
   step_count_ = model(0).step_sd() > 0.0 ? static_cast<Eigen::Index>(angles.size()) : 0;
   weight_.resize(common_count());
   weight_.head(stage_count_) = model(0).prior_weight().segment(own_count(0), stage_count_);

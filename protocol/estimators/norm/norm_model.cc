@@ -76,7 +76,7 @@ class NormProblem {
  public:
   NormProblem(std::span<const NormPose> poses, const NormModel& model) : poses_(poses), model_(model) {
     for (const ItemEffect& effect : item_effects()) {
-      if (!is_fitted(effect, model.sizes, model.drift, model.nonlinearity)) continue;
+      if (effect.in_motion || !is_fitted(effect, model.sizes, model.drift, model.nonlinearity)) continue;
       const double prior = effect.prior(model.sizes);
       for (int i = 0; i < effect.count; ++i) effects_.push_back({&effect, i, prior});
     }

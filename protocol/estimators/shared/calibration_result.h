@@ -166,6 +166,26 @@ struct NormAgreement {
   Eigen::Matrix<double, 9, 1> standard_uncertainty = Eigen::Matrix<double, 9, 1>::Zero();
 };
 
+/// The response at one rate of a run at a constant rate, relative to rest.
+struct RateResponse {
+  double rate_deg_per_s = 0.0;
+  double frequency_hz = 0.0;          ///< That of gravity at this rate.
+  std::array<Quantity, 3> amplitude;  ///< For u, v, w; 1 at rest.
+  Quantity phase;                     ///< degree, beyond that of a pure delay; above 0: leading.
+};
+
+/// Results that a run at a constant rate gives beside the response at rest (docs/constant_rate.md).
+struct MotionResult {
+  std::vector<RateResponse> responses;  ///< By rising rate.
+  /// Apparent position of each output's element along x, y, z of the platter (mm): from the Z axis, along Z
+  /// from the X axis. It absorbs a sensitivity to the square of the rate.
+  std::array<std::array<Quantity, 3>, 3> position;
+  std::array<Quantity, 2> delay;             ///< That of the item behind the encoders of X and Z (s).
+  std::array<Quantity, 3> delay_difference;  ///< For each output, beyond that (s).
+  std::array<Quantity, 3> rate_offset;       ///< R at 60 degrees/s.
+  Quantity axes_distance;                    ///< mm
+};
+
 /// Results that only the joint estimator gives (docs/joint_estimator.md).
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
@@ -190,6 +210,7 @@ struct JointResult {
   double process_tau = 0.0;
   double process_rho = 0.0;
   NormAgreement norm_against_joint;
+  std::optional<MotionResult> motion;    ///< Only of a run at a constant rate.
   std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
 };
 

@@ -49,11 +49,24 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
 TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
   const EffectSizes sizes = read_back(effect_size_entries({}));
   EXPECT_TRUE(sizes.sources.empty());
-  // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift, eccentricity) is no
-  // effect of this run.
-  EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }), 5);
-  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 5);
+  // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift, eccentricity, and the
+  // eight effects of a stage that turns) is no effect of this run.
+  EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }),
+            13);
+  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 13);
   EXPECT_EQ(sizes.wobble_urad, 50.0);
+}
+
+TEST(EffectSizesTest, ARunAtAConstantRateHasFurtherDefaults) {
+  EffectSizes stated;
+  stated.low_pass = 0.02;
+  stated.sources["low_pass"] = "data sheet";
+  const EffectSizes sizes = with_effects_of_motion(stated);
+  EXPECT_EQ(sizes.low_pass, 0.02);
+  EXPECT_EQ(sizes.position_mm, 30.0);
+  EXPECT_EQ(sizes.delay_s, 0.1);
+  EXPECT_EQ(read_back(effect_size_entries(sizes)).position_mm, 30.0);
+  EXPECT_FALSE(effect_size_entries({}).contains("item_uncertainty.position_mm"));
 }
 
 TEST(EffectSizesTest, AnOlderFileStatesItsTolerances) {

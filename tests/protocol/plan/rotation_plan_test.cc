@@ -85,6 +85,73 @@ TEST(RotationPlanTest, SaysWhichAxisDoesNotReachTheSecondFace) {
   }
 }
 
+ProtocolConfig at_constant_rate() {
+  ProtocolConfig config = as_published();
+  config.motion = kMotionNames[1];
+  config.steps = 36;
+  config.step = deg(10.0);
+  return config;
+}
+
+TEST(RotationPlanTest, AtAConstantRateEachCircleIsSweptUpAndDown) {
+  const ProtocolConfig config = at_constant_rate();
+  const auto plan = make_rotation_plan(config, kWide);
+  ASSERT_EQ(plan.size(), 3U * 2U * 36U);
+  for (std::size_t first = 0; first < plan.size(); first += 36) {
+    ASSERT_EQ(end_of_sweep(plan, first), first + 36);
+    ASSERT_EQ(end_of_sweep(plan, first + 35), first + 36);
+    const bool up = (first / 36) % 2 == 0;
+    std::set<int> seen;
+    for (std::size_t k = first; k < first + 36; ++k) {
+      EXPECT_EQ(plan[k].sweep, up ? 1 : 2);
+      EXPECT_EQ(plan[k].rate_deg_per_s, up ? 60.0 : -20.0);
+      EXPECT_NEAR(std::remainder(plan[k].turning().deg() - plan[k].alpha.deg(), 360.0), 0.0, 1e-9);
+      if (k > first) {
+        EXPECT_NEAR((plan[k].turning() - plan[k - 1].turning()).deg(), up ? 10.0 : -10.0, 1e-9);
+      }
+      seen.insert(plan[k].n);
+    }
+    EXPECT_EQ(seen.size(), 36U);
+    // 22.5 degrees to reach 60 degrees/s at 80 degrees/s2, a tenth of a second at it, and half a step.
+    const SweepTravel way = sweep_travel(plan[first], plan[first + 35], config);
+    EXPECT_NEAR((way.from - plan[first].turning()).deg(), up ? -33.5 : 9.5, 1e-9);
+    EXPECT_NEAR((way.to - plan[first + 35].turning()).deg(), up ? 33.5 : -9.5, 1e-9);
+    EXPECT_GE(std::min(way.from, way.to), kWide[0].min);
+    EXPECT_LE(std::max(way.from, way.to), kWide[0].max);
+  }
+  const auto twist = cable_twist(plan, config);
+  EXPECT_GE(twist[0].max.deg() - twist[0].min.deg(), 350.0 + 2.0 * 33.5);
+  const std::array<AxisSpeed, 2> speed{AxisSpeed{60.0, 80.0}, AxisSpeed{60.0, 80.0}};
+  const PlanDuration duration = estimate_duration(plan, config, speed, 100.0);
+  EXPECT_GT(duration.dwelling_s, 3.0 * (6.0 + 18.0));
+  EXPECT_LT(duration.total_s(), 110.0);
+}
+
+TEST(RotationPlanTest, AtAConstantRateStopsAreEvenlySpaced) {
+  ProtocolConfig config = at_constant_rate();
+  config.stops = 4;
+  const auto plan = make_rotation_plan(config, kWide);
+  ASSERT_EQ(plan.size(), 3U * (2U * 36U + 4U));
+  for (std::size_t k = 0; k < 4; ++k) {
+    EXPECT_EQ(plan[72 + k].sweep, 0);
+    EXPECT_EQ(plan[72 + k].experiment, 1);
+    EXPECT_EQ(end_of_sweep(plan, 72 + k), 73 + k);
+    if (k > 0) {
+      EXPECT_NEAR((plan[72 + k].x - plan[71 + k].x).deg(), 90.0, 1e-9);
+    }
+  }
+}
+
+TEST(RotationPlanTest, AtAConstantRateTheTravelNeedsRoomToReachTheRate) {
+  try {
+    make_rotation_plan(at_constant_rate(), {AxisTravel{deg(-20.0), deg(370.0)}, AxisTravel{}});
+    FAIL() << "380 degrees are enough?";
+  } catch (const PlanError& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("axis X"));
+    EXPECT_THAT(error.what(), testing::HasSubstr("60 deg/s at 80 deg/s2"));
+  }
+}
+
 TEST(RotationPlanTest, EndsEachExperimentWithAClosingAngleOneTurnOn) {
   const auto plan = make_rotation_plan(as_published(), kWide);
   EXPECT_TRUE(plan[72].closing);

@@ -431,6 +431,10 @@ TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
     database.execute("pragma journal_mode=delete");
     database.execute(
         "alter table plan drop column face; alter table dwell drop column face; drop view timed_reading;"
+        "alter table plan drop column sweep; alter table plan drop column rate_deg_per_s; drop table "
+        "encoder_sample;"
+        "alter table dwell drop column sweep; alter table dwell drop column rate_deg_per_s;"
+        "alter table dwell drop column acceleration_deg_per_s2; alter table dwell drop column u_angle_deg;"
         "alter table reading add column skipped integer;"
         "update reading set skipped = case when k < 11 then 0 else 3 end; drop table reading_gap;"
         "create view timed_reading as select r.dwell, r.k, d.first_sequence + r.k + r.skipped as sequence,"

@@ -1,0 +1,29 @@
+#include "app/faces/commands/simulate_constant_rate.h"
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+#include "app/faces/commands/study_bar.h"
+#include "app/ground/system/exit_code.h"
+#include "app/ground/system/output.h"
+
+namespace abcal {
+
+int simulate_constant_rate(const ConstantRateOptions& options, bool json) {
+  const ConstantRateStudy study = with_bar(options, run_constant_rate_study);
+  if (json) {
+    print_result("{}\n", constant_rate_json(study).dump(2));
+  } else {
+    print_result("{}", constant_rate_text(study));
+  }
+  if (study.interrupted) return kExitInterrupted;
+  const auto is_met = [](const NamedErrorGroup& each) {
+    return !(each.group.limit > 0.0) || each.group.rms_u <= each.group.limit;
+  };
+  const bool all_met = std::ranges::all_of(study.outcomes, [&](const ConstantRateOutcome& outcome) {
+    return outcome.failed == 0 && std::ranges::all_of(outcome.groups, is_met);
+  });
+  return all_met ? kExitDone : kExitFailed;
+}
+
+}  // namespace abcal

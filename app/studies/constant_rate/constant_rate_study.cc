@@ -1,0 +1,308 @@
+#include "app/studies/constant_rate/constant_rate_study.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <numbers>
+#include <optional>
+#include <stdexcept>
+
+#include "app/studies/robustness/scenario.h"
+#include "app/studies/study/parallel_trials.h"
+#include "protocol/estimators/joint/item_fit.h"
+#include "protocol/estimators/joint/joint_result.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/record/run_file.h"
+#include "protocol/run/experiment_run.h"
+#include "sim/sim_accelerometer.h"
+#include "sim/sim_bench.h"
+#include "sim/sim_clock.h"
+#include "sim/sim_stage.h"
+
+namespace abcal {
+namespace {
+
+constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
+constexpr double kLowPassHz = 5.0;
+/// Size of each of twelve coefficients: the rate then ripples by 1e-3 (rms).
+constexpr double kRipple = 4e-4;
+
+/// Groups of outputs, in the order of Group.
+enum Group { kS, kO, kPhi, kFrame, kAmplitude, kPhase, kGroups };
+struct GroupWords {
+  const char* name;
+  const char* unit;
+};
+constexpr std::array<GroupWords, kGroups> kGroupWords{{{"s", "1"},
+                                                       {"O", "1"},
+                                                       {"phi", "degree"},
+                                                       {"s_vz, s_wy", "1"},
+                                                       {"amplitude", "1"},
+                                                       {"phase", "degree"}}};
+
+struct Design {
+  const char* words;
+  std::vector<double> rates;
+  double reading_hz;
+  double encoder_jitter_s;
+  std::array<double, kGroups> limits;
+};
+const std::array<Design, 1>& designs() {
+  static const std::array<Design, 1> kDesigns{
+      Design{"60 up, 20 down (degree/s), 100 Hz, encoder polled (jitter 1 ms)",
+             {60.0, 20.0},
+             100.0,
+             1e-3,
+             {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0}}};
+  return kDesigns;
+}
+
+struct Trial {
+  bool solved = false;
+  double time_s = 0.0;
+  std::array<ErrorsAndU, kGroups> groups;
+};
+
+struct DrawnBench {
+  sim::BenchTruth truth;
+  ProtocolConfig protocol;
+  EffectSizes sizes;
+};
+
+DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
+  const std::vector<Scenario>& all = robustness_scenarios();
+  const ScenarioBench drawn = draw_bench(*std::ranges::find(all, "everything", &Scenario::name), seed, bench);
+  ScenarioDraw further(seed, 0xC0A5, bench);
+  DrawnBench out;
+  out.truth = drawn.truth;
+  out.sizes = with_effects_of_motion(drawn.stated);
+  sim::BenchTruth& truth = out.truth;
+  truth.noise = 1e-4;
+  truth.span_s = 90.0;
+  truth.low_pass_hz = kLowPassHz;
+  truth.group_delay_s = 0.02;
+  truth.time_stamp_jitter_s = 0.001;
+  truth.encoder_latency_s = 0.005;
+  truth.encoder_jitter_s = design.encoder_jitter_s;
+  truth.rate_offset = further.normals(out.sizes.rate_offset);
+  truth.position_u_mm = further.normals(out.sizes.position_mm);
+  truth.position_v_mm = further.normals(out.sizes.position_mm);
+  truth.position_w_mm = further.normals(out.sizes.position_mm);
+  truth.axes_distance_mm = out.sizes.axes_distance_mm * further.normal();
+  for (sim::AxisTruth* axis : {&truth.x, &truth.z}) {
+    axis->rate_ripple = kRipple;
+    axis->speed_deg_per_s = 60.0;
+    axis->acceleration_deg_per_s2 = 200.0;
+    axis->travel_min = Angle::degrees(-720.0);
+    axis->travel_max = Angle::degrees(720.0);
+  }
+  ProtocolConfig& protocol = out.protocol;
+  protocol.motion = kMotionNames[1];
+  protocol.rate_deg_per_s = design.rates;
+  protocol.sweeps = static_cast<int>(design.rates.size());
+  protocol.acceleration_deg_per_s2 = 200.0;
+  protocol.steps = 36;
+  protocol.step = Angle::degrees(10.0);
+  protocol.check_poses = false;
+  protocol.settle_auto = true;
+  protocol.dwell_readings = 100;
+  return out;
+}
+
+class NobodyWatches final : public RunObserver {
+  void phase(std::size_t /*position*/, RunPhase /*phase*/) override {}
+  void dwells(std::size_t /*position*/, std::span<const ItemDwell> /*dwells*/) override {}
+  void notice(std::string_view /*kind*/, std::string_view /*text*/, std::optional<int> /*item*/) override {}
+};
+
+/// A file that is gone with this.
+class PassingFile {
+ public:
+  explicit PassingFile(std::uint64_t number)
+      : path_(std::filesystem::temp_directory_path() /
+              fmt::format("abcal-constant-rate-{}-{}.run", ::getpid(), number)) {
+    remove();
+  }
+  PassingFile(const PassingFile&) = delete;
+  PassingFile& operator=(const PassingFile&) = delete;
+  ~PassingFile() { remove(); }
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  void remove() const {
+    std::error_code ignored;
+    for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::remove(path_.string() + suffix, ignored);
+  }
+  std::filesystem::path path_;
+};
+
+RunRecord measured(const DrawnBench& bench, double reading_hz, std::uint64_t number, double& time_s) {
+  sim::SimClock clock;
+  const auto world = std::make_shared<sim::SimBench>(bench.truth, clock.now());
+  sim::SimStage stage(world, clock);
+  sim::SimAccelerometer accelerometer(world, clock, reading_hz, "R");
+  const std::array<AxisTravel, 2> travel{AxisTravel{bench.truth.x.travel_min, bench.truth.x.travel_max},
+                                         AxisTravel{bench.truth.z.travel_min, bench.truth.z.travel_max}};
+  RunHeader header;
+  header.tolerances = bench.sizes;
+  header.response_unit = "R";
+  header.step = bench.protocol.step;
+  header.steps = bench.protocol.steps;
+  header.approach = bench.protocol.approach;
+  header.plan = make_rotation_plan(bench.protocol, travel);
+  const PassingFile passing(number);
+  {
+    RunFile file = RunFile::create(passing.path(), header);
+    file.begin_session({clock.utc_now(), clock.now(), {}, {}, true});
+    const RunInstruments instruments{
+        .stage = stage, .clock = clock, .items = {{1, accelerometer, {}, bench.sizes, {}}}};
+    RunSettings settings;
+    settings.protocol = bench.protocol;
+    settings.tolerances = bench.sizes;
+    NobodyWatches nobody;
+    time_s = run_experiments(instruments, {header.plan, settings, {}}, file, nobody, {}).total_s();
+  }
+  return RunFile::load(passing.path()).record;
+}
+
+void add_response(const MotionResult& motion, Trial& out) {
+  for (const RateResponse& response : motion.responses) {
+    const double relative = response.frequency_hz / kLowPassHz;
+    for (const Quantity& amplitude : response.amplitude)
+      out.groups[kAmplitude].emplace_back(amplitude.value - 1.0 / std::sqrt(1.0 + relative * relative),
+                                          amplitude.standard_uncertainty);
+    out.groups[kPhase].emplace_back(
+        response.phase.value - (relative - std::atan(relative)) * kDegreesPerRadian,
+        response.phase.standard_uncertainty);
+  }
+}
+
+Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench) {
+  const DrawnBench drawn = draw(design, seed, bench);
+  Trial out;
+  const RunRecord record = measured(drawn, design.reading_hz, bench, out.time_s);
+  const CalibrationResult result = joint_result(record, fit_item(record, {}));
+  if (!result.sensitivity_matrix || !result.joint || !result.joint->motion) return out;
+  out.solved = true;
+
+  sim::BenchTruth still = drawn.truth;
+  still.drift_1 = still.drift_2 = still.drift_3 = still.sensitivity_drift = Eigen::Vector3d::Zero();
+  const sim::SimBench world(still);
+  const sim::TrueLineResponse truth = world.true_line_response(world.start());
+  const IntrinsicProperties intrinsic = intrinsic_properties(truth.sensitivity_matrix);
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto at = static_cast<Eigen::Index>(j);
+    const auto add = [&](Group group, const Quantity& found, double true_value) {
+      out.groups.at(group).emplace_back(found.value - true_value, found.standard_uncertainty);
+    };
+    add(kS, result.intrinsic_sensitivity[j], intrinsic.sensitivity(at));
+    add(kPhi, result.intrinsic_angle[j], intrinsic.angle_deg(at));
+    add(kO, result.offset[j], truth.offset(at));
+  }
+  const auto& s = *result.sensitivity_matrix;
+  for (const auto& [j, k] : {std::pair<std::size_t, std::size_t>{1, 2}, {2, 1}})
+    out.groups[kFrame].emplace_back(
+        s[j][k].value - truth.sensitivity_matrix(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k)),
+        s[j][k].standard_uncertainty);
+  add_response(*result.joint->motion, out);
+  return out;
+}
+
+ConstantRateOutcome summed(const Design& design, const std::vector<Trial>& trials, std::uint64_t seed) {
+  ConstantRateOutcome out;
+  out.words = design.words;
+  out.benches = static_cast<int>(trials.size());
+  for (const Trial& trial : trials) {
+    out.failed += trial.solved ? 0 : 1;
+    out.longest_s = std::max(out.longest_s, trial.time_s);
+  }
+  for (std::size_t g = 0; g < kGroups; ++g) {
+    std::vector<ErrorsAndU> of_group;
+    for (const Trial& trial : trials) of_group.push_back(trial.groups.at(g));
+    out.groups.push_back({kGroupWords.at(g).name, kGroupWords.at(g).unit,
+                          error_group(of_group, design.limits.at(g), seed + g)});
+  }
+  return out;
+}
+
+}  // namespace
+
+ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options) {
+  if (options.benches < 1)
+    throw std::invalid_argument("study of constant rates: at least 1 bench is required");
+  if (options.threads < 1)
+    throw std::invalid_argument("study of constant rates: at least 1 thread is required");
+  const auto count = static_cast<std::size_t>(options.benches);
+  std::vector<Trial> trials(count * designs().size());
+  const std::size_t done = each_in_parallel(
+      trials.size(), {options.threads, options.stop, options.progress, 4}, [&](std::size_t i) {
+        trials[i] = run_trial(designs().at(i / count), options.seed, i % count + (i / count) * 1'000'000U);
+      });
+  ConstantRateStudy study;
+  study.benches = options.benches;
+  study.seed = options.seed;
+  study.interrupted = done < trials.size();
+  for (std::size_t d = 0; d < designs().size(); ++d) {
+    const std::size_t from = d * count, to = std::min(done, from + count);
+    if (to <= from) break;
+    study.outcomes.push_back(summed(designs().at(d),
+                                    {trials.begin() + static_cast<std::ptrdiff_t>(from),
+                                     trials.begin() + static_cast<std::ptrdiff_t>(to)},
+                                    options.seed));
+  }
+  return study;
+}
+
+std::string constant_rate_text(const ConstantRateStudy& study) {
+  std::string text = fmt::format(
+      "Constant rate: {} simulated benches of each design, seed {}. Noise of a reading 1e-4.\nu: rms of the "
+      "stated "
+      "standard uncertainty (figure of the design); z: rms of error / u; 95 %: coverage.\n\n",
+      study.benches, study.seed);
+  for (const ConstantRateOutcome& outcome : study.outcomes) {
+    text += fmt::format("{}; at most {:.0f} s{}\n", outcome.words, outcome.longest_s,
+                        outcome.failed > 0 ? fmt::format("; {} without a solution", outcome.failed) : "");
+    for (const auto& [name, unit, group] : outcome.groups) {
+      const std::string limit = group.limit > 0.0 ? fmt::format("({:.1e})", group.limit) : "";
+      text += fmt::format("  {:<10} u {:.2e} {:<10} z {:.3f} ({:.3f})  95 % {:.3f}  largest z {:.1f}\n", name,
+                          group.rms_u, limit, group.rms_z, group.probability, group.coverage, group.most_z);
+    }
+  }
+  if (study.interrupted) text += "\ninterrupted: the benches above are complete\n";
+  return text;
+}
+
+nlohmann::ordered_json constant_rate_json(const ConstantRateStudy& study) {
+  nlohmann::ordered_json json{{"schema", "abcal.constant-rate/1"},
+                              {"benches", study.benches},
+                              {"seed", study.seed},
+                              {"interrupted", study.interrupted},
+                              {"designs", nlohmann::ordered_json::array()}};
+  for (const ConstantRateOutcome& outcome : study.outcomes) {
+    nlohmann::ordered_json one{{"design", outcome.words},
+                               {"failed", outcome.failed},
+                               {"longest_s", outcome.longest_s},
+                               {"groups", nlohmann::ordered_json::array()}};
+    for (const auto& [name, unit, group] : outcome.groups) {
+      one["groups"].push_back({{"name", name},
+                               {"unit", unit},
+                               {"rms_uncertainty", group.rms_u},
+                               {"figure", group.limit > 0.0 ? nlohmann::ordered_json(group.limit)
+                                                            : nlohmann::ordered_json(nullptr)},
+                               {"rms_error", group.rms_error},
+                               {"rms_ratio", group.rms_z},
+                               {"coverage", group.coverage},
+                               {"largest_ratio", group.most_z},
+                               {"probability", group.probability}});
+    }
+    json["designs"].push_back(std::move(one));
+  }
+  return json;
+}
+
+}  // namespace abcal

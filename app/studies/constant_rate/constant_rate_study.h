@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "app/studies/study/error_group.h"
+
+namespace abcal {
+
+struct ConstantRateOptions {
+  int benches = 1000;  ///< For each design.
+  std::uint64_t seed = 1;
+  int threads = 1;
+  std::stop_token stop = {};
+  std::function<void(int done, int planned)> progress = {};
+};
+
+struct NamedErrorGroup {
+  std::string name, unit;
+  ErrorGroup group;
+};
+
+/// The runs of one design.
+struct ConstantRateOutcome {
+  std::string words;  ///< "60 up, 20 down (degree/s), 100 Hz".
+  int benches = 0;
+  int failed = 0;          ///< Runs or fits without a solution.
+  double longest_s = 0.0;  ///< Longest time from the first move to the park position, in simulated time.
+  std::vector<NamedErrorGroup> groups;
+};
+
+struct ConstantRateStudy {
+  int benches = 0;
+  std::uint64_t seed = 0;
+  bool interrupted = false;
+  std::vector<ConstantRateOutcome> outcomes;
+};
+
+/// Whole runs at a constant rate on benches drawn from the default sizes (docs/constant_rate.md): low-pass of
+/// 5 Hz, delay of 20 ms, time stamps and encoders that jitter by 1 ms, elements 30 mm from the axes, noise of
+/// 1e-4 a reading. The same for any number of threads.
+/// @throws std::invalid_argument no benches, no threads
+ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options);
+
+/// The study for people.
+std::string constant_rate_text(const ConstantRateStudy& study);
+/// The study for programs, schema abcal.constant-rate/1.
+nlohmann::ordered_json constant_rate_json(const ConstantRateStudy& study);
+
+}  // namespace abcal
