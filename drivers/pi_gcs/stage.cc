@@ -436,10 +436,8 @@ class PiGcsController final : public wire::LineController {
 
   void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
     ensure_known(axis);
-    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
-    std::optional<double>& usual = usual_speed_[index(axis)];
-    if (!usual) usual = speed ? speed : axis_info(axis).speed_deg_per_s;
-    speed = deg_per_s ? deg_per_s : usual;
+    replace_speed(settings_.speed_deg_per_s[index(axis)], usual_speed_[index(axis)], deg_per_s,
+                  [&] { return axis_info(axis).speed_deg_per_s; });
     speed_set_[index(axis)] = false;
     apply_speed(axis);
   }

@@ -392,10 +392,8 @@ class ThorlabsAptController final : public wire::LineController {
   }
 
   void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
-    std::optional<double>& speed = settings_.speed_deg_per_s[index(axis)];
-    std::optional<double>& usual = usual_speed_[index(axis)];
-    if (!usual) usual = speed ? speed : velocity(axis).maximum / velocity_factor(axes_[index(axis)]);
-    speed = deg_per_s ? deg_per_s : usual;
+    replace_speed(settings_.speed_deg_per_s[index(axis)], usual_speed_[index(axis)], deg_per_s,
+                  [&] { return velocity(axis).maximum / velocity_factor(axes_[index(axis)]); });
     axes_[index(axis)].speed_set = false;
     apply_speed(axis);
   }

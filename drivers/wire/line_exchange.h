@@ -181,6 +181,18 @@ class LineController {
   /// on the line.
   virtual std::vector<HaltRecipe> halt_recipes() const = 0;
 
+  /// Replaces the speed of the settings, and keeps the one before the first replacement.
+  /// @param speed  of the settings; absent: the controller's own
+  /// @param usual  kept; absent before the first call
+  /// @param wanted  absent: the usual one
+  /// @param ask  for the controller's own speed
+  template <class Ask>
+  static void replace_speed(std::optional<double>& speed, std::optional<double>& usual,
+                            std::optional<double> wanted, const Ask& ask) {
+    if (!usual) usual = speed ? *speed : ask();
+    speed = wanted ? wanted : usual;
+  }
+
   HaltableLine& line() { return line_; }
   const HaltableLine& line() const { return line_; }
 

@@ -141,6 +141,10 @@ Shape EffectSizes::shape_of(std::string_view key) const {
   return found == shapes.end() ? Shape::kNormal : found->second;
 }
 
+bool is_without_entry(const EffectSizeKey& key, const EffectSizes& sizes) {
+  return key.in_motion > 0.0 && key.get(sizes) == 0.0 && !sizes.sources.contains(key.key);
+}
+
 EffectSizes with_effects_of_motion(EffectSizes sizes) {
   for (const EffectSizeKey& key : kKeys)
     if (key.in_motion > 0.0 && !sizes.sources.contains(key.key)) key.set(sizes, key.in_motion);
@@ -186,7 +190,7 @@ void read_effect_sizes(const std::function<std::optional<double>(const std::stri
 std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes) {
   std::map<std::string, std::string> entries;
   for (const EffectSizeKey& key : kKeys) {
-    if (key.in_motion > 0.0 && !(key.get(sizes) > 0.0) && !sizes.sources.contains(key.key)) continue;
+    if (is_without_entry(key, sizes)) continue;
     const std::string name = full_name(key);
     entries[name] = fmt::format("{:.17g}", key.get(sizes));
     const auto source = sizes.sources.find(key.key);

@@ -113,6 +113,9 @@ struct EffectSizeKey {
   void (*set)(EffectSizes&, double) = nullptr;
 };
 
+/// Whether a file has no entry for a size: that of an effect of motion in a run whose stage stands.
+bool is_without_entry(const EffectSizeKey& key, const EffectSizes& sizes);
+
 /// Every size, in the order in which files list them.
 std::span<const EffectSizeKey> effect_size_keys();
 

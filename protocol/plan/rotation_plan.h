@@ -49,6 +49,9 @@ struct PlannedAngle {
 /// angle at which the stage stands.
 std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t position);
 
+/// Fewest readings of a step in a sweep that a plan accepts.
+inline constexpr double kLeastReadingsOfStep = 8.0;
+
 /// From where to where the axis is turned in a sweep: over all its steps, with the way that it needs to reach
 /// its rate and a tenth of a second at that rate at either end.
 struct SweepTravel {

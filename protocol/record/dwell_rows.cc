@@ -61,7 +61,7 @@ constexpr std::array<std::string_view, 41> kDwellColumns{"id",
                                                          "rate_deg_per_s",
                                                          "acceleration_deg_per_s2",
                                                          "u_angle_deg"};
-/// Those that files before version 5 lack, at the end.
+/// Files before version 5 lack the last columns.
 constexpr std::size_t kColumnsOfVersion5 = 5;
 
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens

@@ -18,13 +18,6 @@ constexpr std::uint32_t kTransientFlags = kFlagNotQuiet | kFlagStuck | kFlagOuts
 /// Interval between two readings of the temperature while the run waits for it.
 constexpr Clock::Duration kTemperatureInterval = std::chrono::seconds(5);
 
-/// Keeps the delays of this computer out of the times of a stream's readings.
-void place_at_sampling_times(std::vector<Reading>& readings, const AccelerometerInfo& info) {
-  if (!(info.rate_hz > 0.0)) return;  // They were made on demand.
-  if (const auto times = fit_sampling_times(readings))
-    for (Reading& reading : readings) reading.arrival = times->of(reading.sequence);
-}
-
 }  // namespace
 
 std::vector<ItemDwell> DwellMeasurement::measure(std::size_t position, const PlannedAngle& angle) {

@@ -191,8 +191,7 @@ class ExperimentRun {
     if (!is_check) flag_full_scale(position, measured);
     context_.journal.check_system_clock();
     file_.append_dwells(position, measured, context_.stopwatch.timing());
-    for (const StageEvent& event : instruments_.stage.take_events())
-      context_.journal.notify(event.kind, event.text);
+    tell_stage_events();
     for (const ItemDwell& each : measured) remember(each);
     if (is_check) return;
     tell(position, measured);
@@ -203,8 +202,7 @@ class ExperimentRun {
     for (PassedAngle& angle : passed) flag_full_scale(angle.position, angle.dwells);
     context_.journal.check_system_clock();
     file_.append_sweep(passed, context_.stopwatch.timing());
-    for (const StageEvent& event : instruments_.stage.take_events())
-      context_.journal.notify(event.kind, event.text);
+    tell_stage_events();
     for (PassedAngle& angle : passed) {
       for (const ItemDwell& each : angle.dwells) remember(each);
       tell(angle.position, angle.dwells);
@@ -220,6 +218,11 @@ class ExperimentRun {
         channel.context.notify("full scale", *excess);
       }
     }
+  }
+
+  void tell_stage_events() {
+    for (const StageEvent& event : instruments_.stage.take_events())
+      context_.journal.notify(event.kind, event.text);
   }
 
   /// Tells the observer of an angle that is on the disk.

@@ -78,4 +78,10 @@ std::optional<SamplingTimes> fit_sampling_times(std::span<const Reading> reading
                        Clock::Duration(std::llround(period))};
 }
 
+void place_at_sampling_times(std::span<Reading> readings, const AccelerometerInfo& info) {
+  if (!(info.rate_hz > 0.0)) return;  // They were made on demand.
+  if (const auto times = fit_sampling_times(readings))
+    for (Reading& reading : readings) reading.arrival = times->of(reading.sequence);
+}
+
 }  // namespace abcal

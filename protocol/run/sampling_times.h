@@ -30,4 +30,7 @@ struct SamplingTimes {
 /// the dwell none comes within half a period (or 0.5 ms) of it. Their arrivals then stand for themselves.
 std::optional<SamplingTimes> fit_sampling_times(std::span<const Reading> readings);
 
+/// Keeps the delays of this computer out of the times of a stream's readings.
+void place_at_sampling_times(std::span<Reading> readings, const AccelerometerInfo& info);
+
 }  // namespace abcal

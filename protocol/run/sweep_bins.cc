@@ -81,7 +81,7 @@ class Noise {
   std::array<std::vector<double>, 3> distances_;
 };
 
-/// When the axis was at an angle: two steps of Newton's from the even motion.
+/// When the axis was at an angle: three steps of Newton's.
 Clock::Instant time_of(const SweepAngle& turned, double angle_deg, Clock::Instant near) {
   for (int step = 0; step < 3; ++step)
     near += from_seconds((angle_deg - turned.angle_deg(near)) / turned.rate_deg_per_s(near));

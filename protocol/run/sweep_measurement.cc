@@ -22,8 +22,8 @@ constexpr double kRateTolerance = 0.01;
 constexpr double kMostScatterS = 0.02;
 /// Largest change of an item's clock between two sweeps.
 constexpr double kMostDrift = 200e-6;
-/// Fewest readings of a step.
-constexpr double kLeastInStep = 8.0;
+/// Fewest readings of a step that give a value: some of those that the plan requires may be lost.
+constexpr double kLeastInStep = 0.5 * kLeastReadingsOfStep;
 
 std::string words_of(const PlannedAngle& angle) {
   return fmt::format("{}, sweep {} at {:g} deg/s", circle_words(angle.experiment, angle.face), angle.sweep,
@@ -149,13 +149,12 @@ void SweepMeasurement::add_item(ItemChannel& channel, Stream& stream, const Swee
                                 std::span<const PlannedAngle> angles, std::vector<PassedAngle>& passed) {
   std::vector<Reading>& readings = stream.readings;
   const AccelerometerInfo& info = channel.context.accelerometer_info;
-  if (const auto times = fit_sampling_times(readings))
-    for (Reading& reading : readings) reading.arrival = times->of(reading.sequence);
+  place_at_sampling_times(readings, info);
   require_even_clock(channel, readings);
   const std::vector<SweepBin> bins = bins_of_sweep(angles, context_.settings.protocol.step, turned, readings);
   for (std::size_t k = 0; k < bins.size(); ++k) {
     const SweepBin& bin = bins[k];
-    if (static_cast<double>(bin.readings.size()) < 0.5 * kLeastInStep)
+    if (static_cast<double>(bin.readings.size()) < kLeastInStep)
       throw InstrumentError(
           channel.context.accelerometer_name(), Fault::kImplausible,
           fmt::format("{} readings within one step about alpha = {:g} deg at {:g} deg/s; required: at least "

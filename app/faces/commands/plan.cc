@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -168,14 +169,22 @@ void print_sources(const BenchConfig& config) {
   }
 }
 
+/// "1000 readings at each"; where the stage turns, the rates at which it passes them.
+std::string readings_words(const BenchConfig& config) {
+  const ProtocolConfig& protocol = config.protocol;
+  if (protocol.is_constant_rate())
+    return fmt::format("passed at {:g} deg/s, up and down in turn", fmt::join(protocol.rate_deg_per_s, ", "));
+  return fmt::format("{} readings at each",
+                     readings_per_dwell(protocol, config.items.front().accelerometer.settings.rate_hz));
+}
+
 /// The first screen: no problem, instruments, angles, time, travel of the axes, and what is not stated.
 void print_plan(const ShownPlan& plan, const BenchConfig& config, const std::string& bench_file) {
   print_result("{}", wrapped(fmt::format("No problem: {} angles, {}, {} estimator", plan.angles.size(),
                                          duration_words(plan), config.protocol.estimator),
                              "", "  ", kTerminalColumns));
   print_instruments(config);
-  print_result("Angles: {}; {} readings at each{}\n", plan.angles.size(),
-               readings_per_dwell(config.protocol, config.items.front().accelerometer.settings.rate_hz),
+  print_result("Angles: {}; {}{}\n", plan.angles.size(), readings_words(config),
                config.has_several_items() ? fmt::format(", of {} items", config.items.size()) : "");
   print_duration(plan);
   print_result("{}",

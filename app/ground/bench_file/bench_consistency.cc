@@ -19,6 +19,7 @@
 #include "protocol/gravity/local_gravity.h"
 #include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
+#include "protocol/plan/rotation_plan.h"
 
 namespace abcal {
 namespace {
@@ -237,17 +238,16 @@ void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
       break;
     }
   }
-  constexpr double kLeastReadings = 8.0;
   for (const BenchItemConfig& item : c.items) {
     const double readings = item.accelerometer.settings.rate_hz * p.step.deg() / fastest;
-    if (readings >= kLeastReadings) continue;
+    if (readings >= kLeastReadingsOfStep) continue;
     reader.add_problem(
         "protocol.rate_deg_per_s",
         fmt::format("{:g} deg/s, at which {:.2g} readings at {:g} Hz fall on a step of {:g} deg", fastest,
                     readings, item.accelerometer.settings.rate_hz, p.step.deg()),
         fmt::format("at least {:g} readings: a lower rate, larger steps (steps = {}, step_deg = "
                     "{:g}) or more readings a second",
-                    kLeastReadings, p.steps / 2, 2.0 * p.step.deg()));
+                    kLeastReadingsOfStep, p.steps / 2, 2.0 * p.step.deg()));
     break;
   }
 }

@@ -44,8 +44,7 @@ void visit_sizes_of(std::string_view section, KeyVisitor& keys, EffectSizes& siz
     if (key.section != section) continue;
     const std::string name(key.key);
     const auto source = sizes.sources.find(name);
-    if (keys.writes() && key.in_motion > 0.0 && key.get(sizes) == 0.0 && source == sizes.sources.end())
-      continue;
+    if (keys.writes() && is_without_entry(key, sizes)) continue;
     const Shape shape = sizes.shape_of(name);
     StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second,
                              shape == Shape::kNormal ? "" : std::string(to_string(shape))};

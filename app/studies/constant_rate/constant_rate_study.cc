@@ -288,18 +288,8 @@ nlohmann::ordered_json constant_rate_json(const ConstantRateStudy& study) {
                                {"failed", outcome.failed},
                                {"longest_s", outcome.longest_s},
                                {"groups", nlohmann::ordered_json::array()}};
-    for (const auto& [name, unit, group] : outcome.groups) {
-      one["groups"].push_back({{"name", name},
-                               {"unit", unit},
-                               {"rms_uncertainty", group.rms_u},
-                               {"figure", group.limit > 0.0 ? nlohmann::ordered_json(group.limit)
-                                                            : nlohmann::ordered_json(nullptr)},
-                               {"rms_error", group.rms_error},
-                               {"rms_ratio", group.rms_z},
-                               {"coverage", group.coverage},
-                               {"largest_ratio", group.most_z},
-                               {"probability", group.probability}});
-    }
+    for (const auto& [name, unit, group] : outcome.groups)
+      one["groups"].push_back(error_group_json(name, unit, group));
     json["designs"].push_back(std::move(one));
   }
   return json;

@@ -57,16 +57,8 @@ nlohmann::ordered_json stage_record_json(const StageRecordStudy& study) {
     for (std::size_t g = 0; g < kStageGroups; ++g) {
       const ErrorGroup& group = outcome.groups[g];
       if (!(group.rms_u > 0.0)) continue;
-      one["groups"].push_back({{"name", stage_group_names()[g]},
-                               {"unit", stage_group_names()[g] == "phi" ? "degree" : "1"},
-                               {"rms_uncertainty", group.rms_u},
-                               {"figure", group.limit > 0.0 ? nlohmann::ordered_json(group.limit)
-                                                            : nlohmann::ordered_json(nullptr)},
-                               {"rms_error", group.rms_error},
-                               {"rms_ratio", group.rms_z},
-                               {"coverage", group.coverage},
-                               {"largest_ratio", group.most_z},
-                               {"probability", group.probability}});
+      const std::string_view name = stage_group_names()[g];
+      one["groups"].push_back(error_group_json(name, name == "phi" ? "degree" : "1", group));
     }
     json["experiments"].push_back(std::move(one));
   }

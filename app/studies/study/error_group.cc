@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <nlohmann/json.hpp>
 
 #include "app/studies/robustness/scenario.h"
 
@@ -57,6 +58,20 @@ ErrorGroup error_group(std::span<const ErrorsAndU> benches, double limit, std::u
   group.coverage = covered / count;
   group.probability = probability_of_one(z2_of_bench, seed);
   return group;
+}
+
+nlohmann::ordered_json error_group_json(std::string_view name, std::string_view unit,
+                                        const ErrorGroup& group) {
+  return {
+      {"name", name},
+      {"unit", unit},
+      {"rms_uncertainty", group.rms_u},
+      {"figure", group.limit > 0.0 ? nlohmann::ordered_json(group.limit) : nlohmann::ordered_json(nullptr)},
+      {"rms_error", group.rms_error},
+      {"rms_ratio", group.rms_z},
+      {"coverage", group.coverage},
+      {"largest_ratio", group.most_z},
+      {"probability", group.probability}};
 }
 
 }  // namespace abcal

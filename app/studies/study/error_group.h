@@ -1,7 +1,9 @@
 #pragma once
 
 #include <cstdint>
+#include <nlohmann/json_fwd.hpp>
 #include <span>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -24,5 +26,9 @@ using ErrorsAndU = std::vector<std::pair<double, double>>;
 
 /// @param benches  one entry each; empty: it has no solution
 ErrorGroup error_group(std::span<const ErrorsAndU> benches, double limit, std::uint64_t seed);
+
+/// The group for programs, as every study prints it.
+nlohmann::ordered_json error_group_json(std::string_view name, std::string_view unit,
+                                        const ErrorGroup& group);
 
 }  // namespace abcal

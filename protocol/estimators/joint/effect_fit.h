@@ -25,7 +25,7 @@ struct EffectReading {
   int face = 1;  ///< 1 or 2 (protocol/plan/faces.h).
   /// Its step error of its own is this times an unknown of the size `step_deg` (collect_readings.h).
   double step_factor = 1.0;
-  // Where the stage turns: of the axis that moves, and the number of its sweep in EffectFitOptions::sweep_sd.
+  // Where the stage turns: of the axis that moves, and the number of its sweep in EffectFitOptions::sweeps.
   double rate_radps = 0.0;
   double acceleration_radps2 = 0.0;
   int sweep = -1;           ///< -1: it stands.
