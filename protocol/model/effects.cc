@@ -103,7 +103,7 @@ StageShare distance_share(const StagePose& pose, int /*i*/) {
 }
 /// The phase of the item beyond a delay: as if the angle were ahead by it.
 StageShare phase_share(const StagePose& pose, int /*i*/) {
-  return {moving_angle_input(pose.experiment), std::pow(pose.rate_radps / kReferenceRate, 3), 0, 0.0};
+  return {moving_angle_input(pose.experiment), std::pow(pose.mean_rate_radps / kReferenceRate, 3), 0, 0.0};
 }
 double phase_prior(const EffectSizes& sizes) {
   return sizes.phase_rad;
@@ -227,13 +227,15 @@ ItemShare hysteresis_share(const ItemPoint& at, int output, int /*i*/) {
   return {at.came_from(output), 0.0};
 }
 
-/// Rate over the reference rate.
+/// Mean rate of the sweep over the reference rate. A filter acts on the sine that gravity becomes, whose
+/// frequency is that of the turn; a ripple of the rate is another frequency.
 double relative_rate(const ItemPoint& at) {
-  return at.rate_radps / kReferenceRate;
+  return at.mean_rate_radps / kReferenceRate;
 }
+template <int power>
 ItemShare low_pass_share(const ItemPoint& at, int output, int /*i*/) {
-  const double square = relative_rate(at) * relative_rate(at);
-  return {-square * at.swing(output), -square};
+  const double loss = std::pow(relative_rate(at), power);
+  return {-loss * at.swing(output), -loss};
 }
 ItemShare delay_difference_share(const ItemPoint& at, int output, int /*i*/) {
   return {-at.rate_radps * at.by_angle(output), 0.0};
@@ -285,8 +287,10 @@ constexpr std::array kItemEffects{
                cross_line, cross_name},
     ItemEffect{"hysteresis", "hysteresis", kOther, 1, size<&EffectSizes::hysteresis>, hysteresis_share,
                no_line, no_name},
-    ItemEffect{"low-pass", "low_pass", kOther, 1, size<&EffectSizes::low_pass>, low_pass_share, no_line,
+    ItemEffect{"low-pass", "low_pass", kOther, 1, size<&EffectSizes::low_pass>, low_pass_share<2>, no_line,
                no_name, true},
+    ItemEffect{"low-pass, fourth power", "low_pass_fourth", kOther, 1, size<&EffectSizes::low_pass_fourth>,
+               low_pass_share<4>, no_line, no_name, true},
     ItemEffect{"delay", "delay_difference_s", kOther, 1, size<&EffectSizes::delay_difference_s>,
                delay_difference_share, no_line, no_name, true},
     ItemEffect{"offset with the rate", "rate_offset", kOther, 1, size<&EffectSizes::rate_offset>,
@@ -300,6 +304,7 @@ constexpr std::array kItemEffects{
 void ItemPoint::turn(const StagePose& pose, const Eigen::Matrix3d& rows, const GravityAt& gravity) {
   if (pose.rate_radps == 0.0 && pose.acceleration_radps2 == 0.0) return;
   rate_radps = pose.rate_radps;
+  mean_rate_radps = pose.mean_rate_radps;
   by_angle = rows * gravity.by_input.col(moving_angle_input(pose.experiment));
   const Eigen::Vector3d axis = pose.axis_in_platter();
   const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - axis * axis.transpose();

@@ -52,6 +52,7 @@ struct ItemPoint {
 
   // Where the stage turns.
   double rate_radps = 0.0;                             ///< Rate of the axis that moves.
+  double mean_rate_radps = 0.0;                        ///< Its mean over the sweep.
   Eigen::Vector3d by_angle = Eigen::Vector3d::Zero();  ///< Derivatives of y by its angle, 1/radian.
   /// y less its mean over the turn: its second derivative by the angle, with the other sign.
   Eigen::Vector3d swing = Eigen::Vector3d::Zero();

@@ -47,6 +47,7 @@ struct StagePose {
   // Motion of the axis that moves, where the stage does not stand.
   double rate_radps = 0.0;
   double acceleration_radps2 = 0.0;
+  double mean_rate_radps = 0.0;  ///< The mean over its sweep, by which the filter of the item acts.
 
   /// The axis that turns, along x, y, z of the platter as it lies at the pose (0, 0).
   Eigen::Vector3d axis_in_platter() const;

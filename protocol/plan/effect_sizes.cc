@@ -111,6 +111,9 @@ constexpr std::array kKeys{
     in_motion(0.01,
               value<&EffectSizes::low_pass>(kItem, "low_pass", "1", 1.0,
                                             "loss of amplitude at 60 degrees/s, growing with its square")),
+    in_motion(5e-7, value<&EffectSizes::low_pass_fourth>(
+                        kItem, "low_pass_fourth", "1", 1.0,
+                        "loss of amplitude at 60 degrees/s, growing with its fourth power")),
     in_motion(1e-4,
               value<&EffectSizes::phase_rad>(kItem, "phase_rad", "radian", 1.0,
                                              "phase beyond a delay at 60 degrees/s, growing with its cube")),

@@ -69,6 +69,7 @@ struct EffectSizes {
   Angle sweep = Angle{};            ///< Error of the angles common to one sweep.
   double delay_difference_s = 0.0;  ///< Delay of an output less that of the item.
   double low_pass = 0.0;            ///< Loss of amplitude; it grows with the square of the rate.
+  double low_pass_fourth = 0.0;     ///< Loss of amplitude that grows with the fourth power of the rate.
   double phase_rad = 0.0;           ///< Phase beyond a delay; it grows with the cube of the rate.
   double rate_offset = 0.0;         ///< Offset that grows with the rate, relative to S_j.
   double position_mm = 0.0;         ///< Each coordinate of the apparent position of an output's element.

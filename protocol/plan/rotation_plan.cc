@@ -66,13 +66,21 @@ struct TurningAxis {
   AxisTravel travel;
 };
 
-/// Time at its rate that an axis turns before the first step of a sweep and after its last.
-constexpr double kMarginS = 0.1;
+/// Time at its rate that an axis turns before the first step of a sweep: what the item shows of the
+/// acceleration must have died away, in its filter and with its delay.
+constexpr double kMarginBeforeS = 0.25;
+/// The same after the last step, where only the encoder and the readings may lag.
+constexpr double kMarginAfterS = 0.05;
+
+/// The way from rest to a rate, or from it to rest, with a time at the rate.
+Angle way_to_rate(const ProtocolConfig& config, double rate_deg_per_s, double margin_s) {
+  const double rate = std::abs(rate_deg_per_s);
+  return Angle::degrees(rate * rate / (2.0 * config.acceleration_deg_per_s2) + margin_s * rate);
+}
 
 /// The way from rest to the first step of a sweep.
 Angle run_up(const ProtocolConfig& config, double rate_deg_per_s) {
-  const double rate = std::abs(rate_deg_per_s);
-  return Angle::degrees(rate * rate / (2.0 * config.acceleration_deg_per_s2) + kMarginS * rate);
+  return way_to_rate(config, rate_deg_per_s, kMarginBeforeS);
 }
 
 /// The angles of one circle that is swept at a constant rate: all in one turn of the axis, with room to reach
@@ -313,12 +321,21 @@ std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t posi
 
 SweepTravel sweep_travel(const PlannedAngle& first, const PlannedAngle& last, const ProtocolConfig& config) {
   const double sense = first.rate_deg_per_s < 0.0 ? -1.0 : 1.0;
-  const Angle beyond = (config.step * 0.5 + run_up(config, first.rate_deg_per_s)) * sense;
-  return {first.turning() - beyond, last.turning() + beyond};
+  const Angle half_step = config.step * 0.5;
+  Angle after = way_to_rate(config, first.rate_deg_per_s, kMarginAfterS);
+  if (first.sweep < config.sweeps) {
+    // The next sweep of the circle begins where this one ends.
+    const auto next = static_cast<std::size_t>(first.sweep) % config.rate_deg_per_s.size();
+    after = std::max(after, run_up(config, config.rate_deg_per_s[next]));
+  }
+  return {first.turning() - (half_step + run_up(config, first.rate_deg_per_s)) * sense,
+          last.turning() + (half_step + after) * sense};
 }
 
-bool is_room_to_sweep(Angle at, const SweepTravel& way, double rate_deg_per_s) {
-  return rate_deg_per_s < 0.0 ? at >= way.from : at <= way.from;
+bool can_sweep_from(Angle at, const SweepTravel& way, double rate_deg_per_s) {
+  constexpr double kLongestDetourS = 1.0;
+  const double lead_s = (way.from - at).deg() / rate_deg_per_s;
+  return lead_s >= 0.0 && lead_s <= kLongestDetourS;
 }
 
 bool has_two_faces(const std::vector<PlannedAngle>& plan) {
@@ -437,7 +454,7 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Prot
       const SweepTravel way = sweep_travel(angle, plan[end_of_sweep(plan, position) - 1], config);
       const double rate = std::abs(angle.rate_deg_per_s);
       move(1 - axis, axis == kX ? angle.z : angle.x);
-      if (!is_room_to_sweep(at[axis], way, angle.rate_deg_per_s)) move(axis, way.from);
+      if (!can_sweep_from(at[axis], way, angle.rate_deg_per_s)) move(axis, way.from);
       duration.dwelling_s +=
           std::abs((way.to - at[axis]).deg()) / rate + rate / config.acceleration_deg_per_s2;
       at[axis] = way.to;

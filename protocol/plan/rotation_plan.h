@@ -53,12 +53,14 @@ std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t posi
 inline constexpr double kLeastReadingsOfStep = 8.0;
 
 /// From where to where the axis is turned in a sweep: over all its steps, with the way that it needs to reach
-/// its rate and a tenth of a second at that rate at either end.
+/// its rate and to leave it, a quarter of a second at that rate before the first step, and the way that the
+/// next sweep of the circle needs before its own.
 struct SweepTravel {
   Angle from, to;
 };
-/// Whether a sweep can begin where the axis stands: there, or further from its first step.
-bool is_room_to_sweep(Angle at, const SweepTravel& way, double rate_deg_per_s);
+/// Whether a sweep begins where the axis stands: at its beginning, or before it by less than a move there
+/// would take.
+bool can_sweep_from(Angle at, const SweepTravel& way, double rate_deg_per_s);
 SweepTravel sweep_travel(const PlannedAngle& first, const PlannedAngle& last, const ProtocolConfig& config);
 
 /// Whether angles of the second face are among them.

@@ -11,7 +11,7 @@
 namespace abcal {
 namespace {
 
-constexpr int kCurveOrders = 4;
+constexpr int kCurveOrders = 8;
 using Curve = Eigen::Matrix<double, 1 + 2 * kCurveOrders, 3>;
 using Basis = Eigen::Matrix<double, 1 + 2 * kCurveOrders, 1>;
 

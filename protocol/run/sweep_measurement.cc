@@ -41,7 +41,7 @@ void SweepMeasurement::go_to_start(const PlannedAngle& first, const SweepTravel&
   const StageAxis turning = turning_axis(first);
   const StageAxis standing = kStageAxes[1 - first.turning_axis()];
   motion_.move_to(standing, standing == StageAxis::kX ? first.x : first.z);
-  if (!is_room_to_sweep(motion_.encoder_angle(turning), way, first.rate_deg_per_s))
+  if (!can_sweep_from(motion_.encoder_angle(turning), way, first.rate_deg_per_s))
     motion_.move_to(turning, way.from);
   standing_ = motion_.encoder_angle(standing);
   context_.stopwatch.add_moving(context_.clock.now() - begin);

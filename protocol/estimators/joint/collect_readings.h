@@ -22,6 +22,8 @@ struct CollectedReadings {
   /// About X and about Z: a first estimate of the delay of the item behind the encoder (s). The angles of the
   /// readings are those that the item saw with this delay.
   std::array<double, 2> delay_s{};
+  /// A first estimate of the item's loss of amplitude at 60 degrees/s, the mean over the outputs.
+  double loss = 0.0;
 };
 
 /// In a run of two faces closing angles and angles of 0 degrees have step errors of any size (step_factor),

@@ -28,8 +28,9 @@ struct EffectReading {
   // Where the stage turns: of the axis that moves, and the number of its sweep in EffectFitOptions::sweeps.
   double rate_radps = 0.0;
   double acceleration_radps2 = 0.0;
-  int sweep = -1;           ///< -1: it stands.
-  double turned_rad = 0.0;  ///< Since the middle of the sweep.
+  double mean_rate_radps = 0.0;  ///< The mean over the sweep.
+  int sweep = -1;                ///< -1: it stands.
+  double turned_rad = 0.0;       ///< Since the middle of the sweep.
 };
 
 /// Knowledge of the angles of one sweep, as standard deviations (radian).

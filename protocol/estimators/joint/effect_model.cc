@@ -221,6 +221,7 @@ void EffectModel::start_from_linear_fit() {
     poses_.push_back(StagePose::of(at.experiment, at.face, at.sin_alpha, at.cos_alpha));
     poses_.back().rate_radps = at.rate_radps;
     poses_.back().acceleration_radps2 = at.acceleration_radps2;
+    poses_.back().mean_rate_radps = at.mean_rate_radps;
     if (in_motion()) sweep_shares_.push_back(sweep_shares(at.turned_rad));
     gravity.push_back(gravity_alone(poses_.back(), perfect));
     values.push_back(at.value);
@@ -263,9 +264,13 @@ bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
   const std::vector<Eigen::Index> hysteresis = hysteresis_unknowns();
   if (options_.signs || hysteresis.empty()) return false;
   Eigen::VectorXd variance = times_upper(changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
-  for (std::size_t n = 1; n < readings_.size(); ++n)
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const auto [from, to] = change_of(n);
+    if (from == to) continue;
     variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
-        step_sd_ * step_sd_ * (by_step_[n].cwiseAbs2() + by_step_[n - 1].cwiseAbs2());
+        step_sd_ * step_sd_ * (by_step_[from].cwiseAbs2() + by_step_[to].cwiseAbs2());
+  }
+  variance += bends_at(value_, step_).cwiseAbs2() / 3.0;
   u_change_ = variance.cwiseSqrt();
   std::vector<Eigen::Vector3d> mean = mean_signs_at(value_, step_);
   double largest = 0.0;
@@ -278,8 +283,10 @@ bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
     const double size2 = std::max(std::pow(unknowns_[static_cast<std::size_t>(at)].prior_sd, 2),
                                   std::pow(value_(at), 2) + covariance_root.row(at).squaredNorm());
     const auto output = static_cast<Eigen::Index>(j);
-    for (std::size_t n = 1; n < readings_.size(); ++n)
+    for (std::size_t n = 0; n < readings_.size(); ++n) {
+      if (const auto [from, to] = change_of(n); from == to) continue;
       signs_.variance[n](output) = size2 * (1.0 - std::pow(signs_.mean[n](output), 2));
+    }
   }
   evaluate();
   return true;
@@ -290,7 +297,7 @@ std::vector<Eigen::Vector3d> EffectModel::mean_signs_at(const Eigen::VectorXd& v
   if (u_change_.size() == 0) return came_from_at(value, steps);
   const Eigen::VectorXd change = changes_at(value, steps);
   std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
-  for (std::size_t n = 1; n < readings_.size(); ++n) {
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
     for (Eigen::Index j = 0; j < 3; ++j) {
       const Eigen::Index row = 3 * static_cast<Eigen::Index>(n) + j;
       if (change(row) != 0.0) out[n](j) = std::erf(change(row) / (std::numbers::sqrt2 * u_change_(row)));
@@ -302,12 +309,41 @@ std::vector<Eigen::Vector3d> EffectModel::mean_signs_at(const Eigen::VectorXd& v
 Eigen::VectorXd EffectModel::changes_at(const Eigen::VectorXd& value,
                                         const std::vector<double>& steps) const {
   Eigen::VectorXd out = Eigen::VectorXd::Zero(residual_.size());
-  const Eigen::Matrix3d at_value = rows_of(value);
-  Eigen::Vector3d before = Eigen::Vector3d::Zero();
+  const Eigen::Matrix3Xd y = linear_responses_at(value, steps);
   for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const Eigen::Vector3d y = at_value * gravity_alone(poses_[n], inputs_at(n, value, steps));
-    if (n > 0) out.segment<3>(3 * static_cast<Eigen::Index>(n)) = y - before;
-    before = y;
+    const auto [from, to] = change_of(n);
+    out.segment<3>(3 * static_cast<Eigen::Index>(n)) =
+        y.col(static_cast<Eigen::Index>(to)) - y.col(static_cast<Eigen::Index>(from));
+  }
+  return out;
+}
+
+std::pair<std::size_t, std::size_t> EffectModel::change_of(std::size_t n) const {
+  const auto is_of_sweep = [&](std::size_t other) {
+    return other < readings_.size() && readings_[other].sweep == readings_[n].sweep;
+  };
+  if (readings_[n].sweep < 0) return {n > 0 ? n - 1 : n, n};
+  return {n > 0 && is_of_sweep(n - 1) ? n - 1 : n, is_of_sweep(n + 1) ? n + 1 : n};
+}
+
+Eigen::Matrix3Xd EffectModel::linear_responses_at(const Eigen::VectorXd& value,
+                                                  const std::vector<double>& steps) const {
+  Eigen::Matrix3Xd out(3, static_cast<Eigen::Index>(readings_.size()));
+  const Eigen::Matrix3d at_value = rows_of(value);
+  for (std::size_t n = 0; n < readings_.size(); ++n)
+    out.col(static_cast<Eigen::Index>(n)) = at_value * gravity_alone(poses_[n], inputs_at(n, value, steps));
+  return out;
+}
+
+Eigen::VectorXd EffectModel::bends_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const {
+  Eigen::VectorXd out = Eigen::VectorXd::Zero(residual_.size());
+  if (!in_motion()) return out;
+  const Eigen::Matrix3Xd y = linear_responses_at(value, steps);
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const auto [from, to] = change_of(n);
+    if (to != from + 2) continue;
+    const auto at = static_cast<Eigen::Index>(n);
+    out.segment<3>(3 * at) = y.col(at + 1) - 2.0 * y.col(at) + y.col(at - 1);
   }
   return out;
 }
@@ -315,9 +351,12 @@ Eigen::VectorXd EffectModel::changes_at(const Eigen::VectorXd& value,
 ReadingRows EffectModel::changes_by_unknowns() const {
   ReadingRows out = ReadingRows::Zero(residual_.size(), layout_.count());
   const Eigen::Index rest = layout_.count() - layout_.first_stage();
-  for (Eigen::Index row = 3; row < out.rows(); ++row) {
-    const Eigen::Index first = layout_.own_count() * (row % 3);
-    const auto difference = jacobian_.row(row) - jacobian_.row(row - 3);
+  for (Eigen::Index row = 0; row < out.rows(); ++row) {
+    const Eigen::Index j = row % 3;
+    const Eigen::Index first = layout_.own_count() * j;
+    const auto [from, to] = change_of(static_cast<std::size_t>(row / 3));
+    const auto difference = jacobian_.row(3 * static_cast<Eigen::Index>(to) + j) -
+                            jacobian_.row(3 * static_cast<Eigen::Index>(from) + j);
     out.row(row).segment<3>(first) = difference.segment<3>(first);
     out.row(row).tail(rest) = difference.tail(rest);
   }

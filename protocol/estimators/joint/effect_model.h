@@ -151,7 +151,15 @@ class EffectModel {
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_signs();
-  /// Changes of the relative responses of u, v, w from the reading before (3 N). Zero at the first reading.
+  /// The two readings between which the response at reading `n` changes: the one before and itself; in a
+  /// sweep the two beside it, whose difference is that of the slope at its own angle. Equal: none.
+  std::pair<std::size_t, std::size_t> change_of(std::size_t n) const;
+  /// Relative linear responses of u, v, w (columns: the readings).
+  Eigen::Matrix3Xd linear_responses_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const;
+  /// How far the slope varies within the step of each reading of a sweep (3 N): the sign of the slope is the
+  /// mean over the step. The slope at either end of the step is the change of change_of() plus or minus this.
+  Eigen::VectorXd bends_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const;
+  /// Changes of the relative responses of u, v, w between the readings of change_of() (3 N).
   Eigen::VectorXd changes_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const;
   /// Their derivatives by the unknowns at this point, of first order, without the small slopes of the item's
   /// effects.

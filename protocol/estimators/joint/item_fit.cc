@@ -85,6 +85,11 @@ ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
                  .white_known = own.data.u_known,
                  .sweeps = own.data.sweeps,
                  .unit = options.unit};
+  if (own.data.loss > 0.0) {
+    // A first-order low-pass has 1 - c + 1.5 c^2 ...; others have other terms of this size.
+    double& fourth = own.options.sizes.low_pass_fourth;
+    fourth = std::hypot(fourth, 1.5 * own.data.loss * own.data.loss);
+  }
   if (own.data.readings.size() < kFewestAngles) {
     own.why = fmt::format("{} usable angles; the joint estimator needs {} or more", own.data.readings.size(),
                           kFewestAngles);

@@ -188,16 +188,9 @@ JointResult joint_outputs(const EffectFit& fit, const std::string& unit) {
 /// The rates of a run, each once, by rising size: those of sweeps within 1 % of each other are one.
 std::vector<double> rates_of(const CollectedReadings& data) {
   constexpr double kSame = 0.01;
-  std::vector<std::pair<double, double>> sweeps(data.sweeps.size());  // Sum and number.
-  for (const EffectReading& reading : data.readings) {
-    if (reading.sweep < 0) continue;
-    auto& [sum, count] = sweeps[static_cast<std::size_t>(reading.sweep)];
-    sum += std::abs(reading.rate_radps);
-    count += 1.0;
-  }
   std::vector<double> rates;
-  for (const auto& [sum, count] : sweeps)
-    if (count > 0.0) rates.push_back(sum / count);
+  for (const EffectReading& reading : data.readings)
+    if (reading.sweep >= 0) rates.push_back(std::abs(reading.mean_rate_radps));
   std::ranges::sort(rates);
   const auto same = [](double a, double b) { return std::abs(b - a) < kSame * b; };
   rates.erase(std::unique(rates.begin(), rates.end(), same), rates.end());
@@ -215,9 +208,14 @@ MotionResult motion_outputs(const EffectFit& fit, const CollectedReadings& data,
     response.frequency_hz = rate / (2.0 * std::numbers::pi);
     const double relative = rate / kReferenceRate;
     for (int j = 0; j < 3; ++j) {
-      const auto at = static_cast<std::size_t>(j);
-      Quantity& amplitude = response.amplitude[at] = own("low-pass", j, 0, relative * relative, "1");
-      amplitude.value = 1.0 - amplitude.value;
+      Eigen::RowVectorXd by = Eigen::RowVectorXd::Zero(fit.value.size());
+      for (const auto& [effect, power] : {std::pair{"low-pass", 2}, {"low-pass, fourth power", 4}})
+        if (const Eigen::Index at = place_of(fit, effect, j); at >= 0) by(at) = -std::pow(relative, power);
+      const double variance = by * fit.covariance * by.transpose();
+      Quantity& amplitude = response.amplitude[static_cast<std::size_t>(j)];
+      amplitude.value = 1.0 + by.dot(fit.value);
+      amplitude.standard_uncertainty = std::sqrt(variance);
+      amplitude.unit = "1";
     }
     response.phase = own("phase", -1, 0, std::pow(relative, 3) * kDegreesPerRadian, "degree");
   }

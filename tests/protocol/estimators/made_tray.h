@@ -90,6 +90,7 @@ class TrayMaker {
       double slope = 1.0;
       line(9 + j) = offset(j);
       for (const ItemEffect& effect : item_effects()) {
+        if (effect.in_motion) continue;  // The records are of a stage at rest.
         const bool curvature = effect.key == "k2" || effect.key == "k3";
         for (int i = 0; i < effect.count; ++i) {
           const double value = (curvature ? 0.1 : 1.0) * effect.prior(plan_.sizes) * normal();
@@ -132,6 +133,7 @@ class TrayMaker {
             point.y(j) + offset(j) + plan_.noise * normal() + plan_.noise * plan_.process * wander(j);
         std::size_t at = 0;
         for (const ItemEffect& effect : item_effects()) {
+          if (effect.in_motion) continue;
           for (int i = 0; i < effect.count; ++i)
             reading += effect.share(point, j, i).value * own[static_cast<std::size_t>(j)][at++];
         }

@@ -50,10 +50,10 @@ TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
   const EffectSizes sizes = read_back(effect_size_entries({}));
   EXPECT_TRUE(sizes.sources.empty());
   // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift, eccentricity, and the
-  // eight effects of a stage that turns) is no effect of this run.
+  // nine effects of a stage that turns) is no effect of this run.
   EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }),
-            13);
-  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 13);
+            14);
+  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 14);
   EXPECT_EQ(sizes.wobble_urad, 50.0);
 }
 

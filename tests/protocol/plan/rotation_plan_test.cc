@@ -112,15 +112,16 @@ TEST(RotationPlanTest, AtAConstantRateEachCircleIsSweptUpAndDown) {
       seen.insert(plan[k].n);
     }
     EXPECT_EQ(seen.size(), 36U);
-    // 22.5 degrees to reach 60 degrees/s at 80 degrees/s2, a tenth of a second at it, and half a step.
+    // 22.5 degrees to reach 60 degrees/s at 80 degrees/s2, a quarter of a second at it before and a twentieth
+    // after, and half a step.
     const SweepTravel way = sweep_travel(plan[first], plan[first + 35], config);
-    EXPECT_NEAR((way.from - plan[first].turning()).deg(), up ? -33.5 : 9.5, 1e-9);
-    EXPECT_NEAR((way.to - plan[first + 35].turning()).deg(), up ? 33.5 : -9.5, 1e-9);
+    EXPECT_NEAR((way.from - plan[first].turning()).deg(), up ? -42.5 : 12.5, 1e-9);
+    EXPECT_NEAR((way.to - plan[first + 35].turning()).deg(), up ? 30.5 : -8.5, 1e-9);
     EXPECT_GE(std::min(way.from, way.to), kWide[0].min);
     EXPECT_LE(std::max(way.from, way.to), kWide[0].max);
   }
   const auto twist = cable_twist(plan, config);
-  EXPECT_GE(twist[0].max.deg() - twist[0].min.deg(), 350.0 + 2.0 * 33.5);
+  EXPECT_GE(twist[0].max.deg() - twist[0].min.deg(), 350.0 + 42.5 + 30.5);
   const std::array<AxisSpeed, 2> speed{AxisSpeed{60.0, 80.0}, AxisSpeed{60.0, 80.0}};
   const PlanDuration duration = estimate_duration(plan, config, speed, 100.0);
   EXPECT_GT(duration.dwelling_s, 3.0 * (6.0 + 18.0));

@@ -1,0 +1,272 @@
+#include "protocol/estimators/joint/swept_readings.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <complex>
+#include <cstddef>
+#include <functional>
+#include <limits>
+#include <numbers>
+#include <utility>
+#include <vector>
+
+#include "protocol/model/effects.h"
+
+namespace abcal {
+namespace {
+
+/// Commanded angle of the axis that turns.
+Angle turned_angle(const DwellRecord& dwell) {
+  return dwell.experiment == 3 ? dwell.commanded_z : dwell.commanded_x;
+}
+
+/// The mean rate of each sweep.
+void find_mean_rates(CollectedReadings& data) {
+  std::vector<std::pair<double, double>> sums(data.sweeps.size());
+  for (const EffectReading& reading : data.readings) {
+    if (reading.sweep < 0) continue;
+    auto& [sum, count] = sums[static_cast<std::size_t>(reading.sweep)];
+    sum += reading.rate_radps;
+    count += 1.0;
+  }
+  for (EffectReading& reading : data.readings) {
+    if (reading.sweep < 0) continue;
+    const auto& [sum, count] = sums[static_cast<std::size_t>(reading.sweep)];
+    reading.mean_rate_radps = sum / count;
+  }
+}
+
+void count_from_middle_of_sweeps(CollectedReadings& data) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  std::vector<std::pair<double, double>> ends(data.sweeps.size(), {kInfinity, -kInfinity});
+  const auto turned_deg = [&](std::size_t i) { return turned_angle(*data.dwells[i]).deg(); };
+  for (std::size_t i = 0; i < data.readings.size(); ++i) {
+    if (data.readings[i].sweep < 0) continue;
+    auto& [low, high] = ends[static_cast<std::size_t>(data.readings[i].sweep)];
+    low = std::min(low, turned_deg(i));
+    high = std::max(high, turned_deg(i));
+  }
+  for (std::size_t i = 0; i < data.readings.size(); ++i) {
+    if (data.readings[i].sweep < 0) continue;
+    const auto& [low, high] = ends[static_cast<std::size_t>(data.readings[i].sweep)];
+    data.readings[i].turned_rad = Angle::degrees(turned_deg(i) - 0.5 * (low + high)).rad();
+  }
+}
+
+/// The sines that gravity becomes in one sweep.
+struct SweepSines {
+  std::array<std::complex<double>, 3> of_output{};
+  double rate_radps = 0.0;
+  int experiment = 0;
+  int count = 0;
+};
+
+std::vector<SweepSines> sines_of(const CollectedReadings& data) {
+  std::vector<SweepSines> sweeps(data.sweeps.size());
+  for (const EffectReading& reading : data.readings) {
+    if (reading.sweep < 0) continue;
+    SweepSines& sweep = sweeps[static_cast<std::size_t>(reading.sweep)];
+    for (std::size_t j = 0; j < 3; ++j)
+      sweep.of_output[j] += reading.value(static_cast<Eigen::Index>(j)) *
+                            std::complex<double>(reading.cos_alpha, -reading.sin_alpha);
+    sweep.rate_radps = reading.mean_rate_radps;
+    sweep.experiment = reading.experiment;
+    ++sweep.count;
+  }
+  for (SweepSines& sweep : sweeps)
+    for (std::complex<double>& sine : sweep.of_output) sine /= std::max(1, sweep.count);
+  return sweeps;
+}
+
+/// Calls `with` for each two sweeps of one circle: their difference is free of all that depends on the angle
+/// alone.
+void for_pairs(const std::vector<SweepSines>& sweeps,
+               const std::function<void(const SweepSines&, const SweepSines&)>& with) {
+  for (std::size_t a = 0; a < sweeps.size(); ++a)
+    for (std::size_t b = a + 1; b < sweeps.size(); ++b)
+      if (sweeps[a].experiment == sweeps[b].experiment && sweeps[a].count > 0 && sweeps[b].count > 0)
+        with(sweeps[a], sweeps[b]);
+}
+
+// Rates, or their squares, that differ by less do not show an effect that grows with them.
+constexpr double kLeastApart = 0.05;  // radian/s, or (radian/s)^2
+
+/// The delay shows as a phase of the readings that grows with the rate.
+std::array<double, 2> delays_of(const std::vector<SweepSines>& sweeps) {
+  std::array<double, 2> sum{}, weight{};
+  for_pairs(sweeps, [&](const SweepSines& a, const SweepSines& b) {
+    const double apart = a.rate_radps - b.rate_radps;
+    std::complex<double> both = 0.0;
+    for (std::size_t j = 0; j < 3; ++j) both += a.of_output[j] * std::conj(b.of_output[j]);
+    const std::size_t axis = a.experiment == 3 ? 1 : 0;
+    sum[axis] -= std::arg(both) * apart;
+    weight[axis] += apart * apart;
+  });
+  for (std::size_t axis = 0; axis < 2; ++axis)
+    sum[axis] = weight[axis] > kLeastApart * kLeastApart ? sum[axis] / weight[axis] : 0.0;
+  return sum;
+}
+
+/// The loss of amplitude at the reference rate, which grows with the square of the rate.
+double loss_of(const std::vector<SweepSines>& sweeps) {
+  double sum = 0.0, weight = 0.0;
+  for_pairs(sweeps, [&](const SweepSines& a, const SweepSines& b) {
+    double of_a = 0.0, of_b = 0.0;
+    for (std::size_t j = 0; j < 3; ++j) {
+      of_a += std::norm(a.of_output[j]);
+      of_b += std::norm(b.of_output[j]);
+    }
+    const double apart = a.rate_radps * a.rate_radps - b.rate_radps * b.rate_radps;
+    sum -= 0.5 * std::log(of_a / of_b) * apart;
+    weight += apart * apart;
+  });
+  const double loss = weight > kLeastApart * kLeastApart ? sum / weight : 0.0;
+  return std::max(0.0, loss * kReferenceRate * kReferenceRate);
+}
+
+/// The course of one sweep: angles with their times and rates, in the order of time.
+struct Passage {
+  double time_s = 0.0;
+  double angle_rad = 0.0;
+  double rate_radps = 0.0;
+  double acceleration_radps2 = 0.0;
+};
+
+/// A value between two, and its derivative by time, from values and derivatives there: Hermite's cubic.
+struct CubicEnd {
+  double value = 0.0;
+  double slope = 0.0;
+};
+CubicEnd between(const CubicEnd& a, const CubicEnd& b, double span, double x) {
+  const double rest = 1.0 - x;
+  return {a.value * (1.0 + 2.0 * x) * rest * rest + a.slope * span * x * rest * rest +
+              b.value * x * x * (3.0 - 2.0 * x) - b.slope * span * x * x * rest,
+          6.0 * x * rest * (b.value - a.value) / span + a.slope * rest * (1.0 - 3.0 * x) +
+              b.slope * x * (3.0 * x - 2.0)};
+}
+
+/// The passage of the axis `delay_s` before another one: between the passages of its sweep, beyond the first
+/// one by the rate and acceleration there.
+Passage passage_before(const std::vector<Passage>& sweep, const Passage& at, double delay_s) {
+  const double then = at.time_s - delay_s;
+  const auto after = std::ranges::upper_bound(sweep, then, {}, &Passage::time_s);
+  if (after == sweep.begin() || after == sweep.end()) {
+    return {then, at.angle_rad - delay_s * (at.rate_radps - 0.5 * delay_s * at.acceleration_radps2),
+            at.rate_radps - delay_s * at.acceleration_radps2, at.acceleration_radps2};
+  }
+  const Passage& b = *after;
+  const Passage& a = *(after - 1);
+  const double span = b.time_s - a.time_s;
+  const double x = (then - a.time_s) / span;
+  const CubicEnd angle = between({a.angle_rad, a.rate_radps}, {b.angle_rad, b.rate_radps}, span, x);
+  const CubicEnd rate =
+      between({a.rate_radps, a.acceleration_radps2}, {b.rate_radps, b.acceleration_radps2}, span, x);
+  return {then, angle.value, rate.value, rate.slope};
+}
+
+/// Turns the readings' angles to those that the item saw, with the rate and the acceleration there.
+void account_for_delays(CollectedReadings& data) {
+  std::vector<std::vector<Passage>> sweeps(data.sweeps.size());
+  const auto passage_of = [&](std::size_t n) {
+    const EffectReading& reading = data.readings[n];
+    return Passage{data.dwells[n]->time_s.value_or(0.0), turned_angle(*data.dwells[n]).rad(),
+                   reading.rate_radps, reading.acceleration_radps2};
+  };
+  for (std::size_t n = 0; n < data.readings.size(); ++n)
+    if (data.readings[n].sweep >= 0)
+      sweeps[static_cast<std::size_t>(data.readings[n].sweep)].push_back(passage_of(n));
+  for (std::vector<Passage>& sweep : sweeps) std::ranges::sort(sweep, {}, &Passage::time_s);
+  for (std::size_t n = 0; n < data.readings.size(); ++n) {
+    EffectReading& reading = data.readings[n];
+    if (reading.sweep < 0) continue;
+    const Passage now = passage_of(n);
+    const Passage seen = passage_before(sweeps[static_cast<std::size_t>(reading.sweep)], now,
+                                        data.delay_s[reading.experiment == 3 ? 1 : 0]);
+    const double behind = now.angle_rad - seen.angle_rad;
+    const double s = std::sin(behind), c = std::cos(behind);
+    const double sin_alpha = reading.sin_alpha * c - reading.cos_alpha * s;
+    reading.cos_alpha = reading.cos_alpha * c + reading.sin_alpha * s;
+    reading.sin_alpha = sin_alpha;
+    reading.rate_radps = seen.rate_radps;
+    reading.acceleration_radps2 = seen.acceleration_radps2;
+  }
+}
+
+/// Orders of the turn whose loss and phase in the item's filter are taken back.
+constexpr int kFilteredOrders = 7;
+
+/// Order m of a sweep as a first-order filter leaves it, over what the fit makes of it: the loss of order 1,
+/// and the phase of order 1 as a delay.
+/// @param tangent  of the phase of order 1: rate times the filter's time constant, with the sign of the rate
+std::complex<double> beyond_first_order(int m, double tangent) {
+  const std::complex<double> first = 1.0 / std::complex<double>(1.0, tangent);
+  const std::complex<double> here = 1.0 / std::complex<double>(1.0, m * tangent);
+  return here / std::polar(std::abs(first), m * std::arg(first));
+}
+
+/// Takes back what the item's filter does to the harmonics of one sweep: errors of the stage and a ripple of
+/// its rate are faster than the turn, and the fit knows the filter at the turn only.
+void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& sweep, double loss) {
+  constexpr int kUnknowns = 1 + 2 * kFilteredOrders;
+  if (sweep.size() < 2 * static_cast<std::size_t>(kUnknowns)) return;
+  using Basis = Eigen::Matrix<double, kUnknowns, 1>;
+  std::vector<Basis> bases;
+  Eigen::Matrix<double, kUnknowns, kUnknowns> normal;
+  normal.setZero();
+  Eigen::Matrix<double, kUnknowns, 3> right;
+  right.setZero();
+  for (const std::size_t n : sweep) {
+    const EffectReading& reading = data.readings[n];
+    const std::complex<double> turn(reading.cos_alpha, reading.sin_alpha);
+    std::complex<double> power = 1.0;
+    Basis& basis = bases.emplace_back();
+    basis(0) = 1.0;
+    for (int m = 1; m <= kFilteredOrders; ++m) {
+      power *= turn;
+      basis(2 * m - 1) = power.real();
+      basis(2 * m) = power.imag();
+    }
+    normal += basis * basis.transpose();
+    right += basis * reading.value.transpose();
+  }
+  const auto solver = normal.ldlt();
+  const Basis pivots = solver.vectorD();
+  if (!(pivots.minCoeff() > 1e-3 * pivots.maxCoeff())) return;
+  Eigen::Matrix<double, kUnknowns, 3> change = solver.solve(right);
+  change.topRows<3>().setZero();
+  const double rate = data.readings[sweep.front()].mean_rate_radps;
+  const double tangent = std::sqrt(2.0 * loss) * rate / kReferenceRate;
+  for (int m = 2; m <= kFilteredOrders; ++m) {
+    const std::complex<double> factor = 1.0 / beyond_first_order(m, tangent) - 1.0;
+    for (int j = 0; j < 3; ++j) {
+      // a cos + b sin is the real part of (a - i b) exp(i m alpha).
+      const std::complex<double> order(change(2 * m - 1, j), -change(2 * m, j));
+      const std::complex<double> missing = order * factor;
+      change(2 * m - 1, j) = missing.real();
+      change(2 * m, j) = -missing.imag();
+    }
+  }
+  for (std::size_t i = 0; i < sweep.size(); ++i)
+    data.readings[sweep[i]].value += change.transpose() * bases[i];
+}
+
+}  // namespace
+
+void account_for_motion(CollectedReadings& data) {
+  if (data.sweeps.empty()) return;
+  count_from_middle_of_sweeps(data);
+  find_mean_rates(data);
+  const std::vector<SweepSines> sines = sines_of(data);
+  data.delay_s = delays_of(sines);
+  account_for_delays(data);
+  data.loss = loss_of(sines);
+  if (!(data.loss > 0.0)) return;
+  std::vector<std::vector<std::size_t>> sweeps(data.sweeps.size());
+  for (std::size_t n = 0; n < data.readings.size(); ++n)
+    if (data.readings[n].sweep >= 0) sweeps[static_cast<std::size_t>(data.readings[n].sweep)].push_back(n);
+  for (const std::vector<std::size_t>& sweep : sweeps) restore_harmonics(data, sweep, data.loss);
+}
+
+}  // namespace abcal
