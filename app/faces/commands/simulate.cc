@@ -62,6 +62,7 @@ struct SimulateOptions {
   bool without_mean_step = false;
   std::int64_t benches = RobustnessOptions{}.benches;
   std::vector<std::string> scenarios;
+  std::int64_t pairs = ConstantRateOptions{}.pairs;
   std::int64_t stages = StageRecordOptions{}.stages;
 };
 
@@ -124,6 +125,11 @@ void add_robustness_options(CLI::App& command, SimulateOptions& options) {
                   "only these scenarios, separated by commas (default: all)")
       ->group(group)
       ->delimiter(',');
+  command
+      .add_option("--pairs", options.pairs,
+                  "so many items of the first design at a constant rate are measured in steps too")
+      ->group("study of constant rates")
+      ->capture_default_str();
   command.add_option("--stages", options.stages, "simulated stages of each experiment")
       ->group("study of stage records")
       ->capture_default_str();
@@ -172,9 +178,10 @@ int run_stage_record_study(const SimulateOptions& options) {
 }
 
 int run_constant_rate_study(const SimulateOptions& options) {
-  require_not_given(options, false, false, "--benches, --seed, --threads and --json");
+  require_not_given(options, false, false, "--benches, --pairs, --seed, --threads and --json");
   ConstantRateOptions study;
   study.benches = static_cast<int>(not_negative("--benches", options.benches));
+  study.pairs = static_cast<int>(not_negative("--pairs", options.pairs));
   study.seed = not_negative("--seed", options.seed);
   study.threads = threads_of(options.threads);
   return simulate_constant_rate(study, options.json);

@@ -14,6 +14,7 @@
 
 #include "app/studies/robustness/scenario.h"
 #include "app/studies/study/parallel_trials.h"
+#include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
@@ -50,15 +51,26 @@ struct Design {
   std::vector<double> rates;
   double reading_hz;
   double encoder_jitter_s;
+  double speed_deg_per_s;
+  double span_s;  ///< Time of the run, over which the item drifts.
   std::array<double, kGroups> limits;
 };
-const std::array<Design, 1>& designs() {
-  static const std::array<Design, 1> kDesigns{
+const std::array<Design, 2>& designs() {
+  static const std::array<Design, 2> kDesigns{
       Design{"60 up, 20 down (degree/s), 100 Hz, encoder polled (jitter 1 ms)",
              {60.0, 20.0},
              100.0,
              1e-3,
-             {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0}}};
+             60.0,
+             89.0,
+             {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0}},
+      Design{"180 up, 180 down, 20 up (degree/s), 200 Hz, encoder recorded (jitter 0.05 ms)",
+             {180.0, 180.0, 20.0},
+             200.0,
+             5e-5,
+             180.0,
+             98.0,
+             {1.1e-5, 0.0, 0.0, 0.0, 1e-4, 0.01}}};
   return kDesigns;
 }
 
@@ -66,6 +78,7 @@ struct Trial {
   bool solved = false;
   double time_s = 0.0;
   std::array<ErrorsAndU, kGroups> groups;
+  std::optional<bool> agrees_with_steps;
 };
 
 struct DrawnBench {
@@ -74,16 +87,19 @@ struct DrawnBench {
   EffectSizes sizes;
 };
 
+const Scenario& every_effect() {
+  return *std::ranges::find(robustness_scenarios(), "everything", &Scenario::name);
+}
+
 DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
-  const std::vector<Scenario>& all = robustness_scenarios();
-  const ScenarioBench drawn = draw_bench(*std::ranges::find(all, "everything", &Scenario::name), seed, bench);
+  const ScenarioBench drawn = draw_bench(every_effect(), seed, bench);
   ScenarioDraw further(seed, 0xC0A5, bench);
   DrawnBench out;
   out.truth = drawn.truth;
   out.sizes = with_effects_of_motion(drawn.stated);
   sim::BenchTruth& truth = out.truth;
   truth.noise = 1e-4;
-  truth.span_s = 90.0;
+  truth.span_s = design.span_s;
   truth.low_pass_hz = kLowPassHz;
   truth.group_delay_s = 0.02;
   truth.time_stamp_jitter_s = 0.001;
@@ -96,7 +112,7 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   truth.axes_distance_mm = out.sizes.axes_distance_mm * further.normal();
   for (sim::AxisTruth* axis : {&truth.x, &truth.z}) {
     axis->rate_ripple = kRipple;
-    axis->speed_deg_per_s = 60.0;
+    axis->speed_deg_per_s = design.speed_deg_per_s;
     axis->acceleration_deg_per_s2 = 200.0;
     axis->travel_min = Angle::degrees(-720.0);
     axis->travel_max = Angle::degrees(720.0);
@@ -111,6 +127,25 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   protocol.check_poses = false;
   protocol.settle_auto = true;
   protocol.dwell_readings = 100;
+  return out;
+}
+
+/// The item of `swept` on another bench, in steps: 72 angles of 5 degrees in each circle, an hour.
+DrawnBench in_steps(const DrawnBench& swept, std::uint64_t seed, std::uint64_t bench) {
+  constexpr std::uint64_t kOtherBenches = 500'000'000U;
+  const ScenarioBench drawn = draw_bench(every_effect(), seed, kOtherBenches + bench);
+  DrawnBench out;
+  out.truth = drawn.truth;
+  sim::OutputTruth& item = out.truth;
+  item = swept.truth;
+  item.drift_1 = drawn.truth.drift_1;
+  item.drift_2 = drawn.truth.drift_2;
+  item.drift_3 = drawn.truth.drift_3;
+  item.sensitivity_drift = drawn.truth.sensitivity_drift;
+  out.sizes = drawn.stated;
+  out.protocol.check_poses = false;
+  out.protocol.settle_auto = true;
+  out.protocol.dwell_readings = 1000;
   return out;
 }
 
@@ -182,7 +217,18 @@ void add_response(const MotionResult& motion, Trial& out) {
   }
 }
 
-Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench) {
+/// Whether the nine intrinsic quantities of two results agree: chi2 of their differences below its 95 %
+/// point. Absent without two results.
+std::optional<bool> agree(const CalibrationResult& a, const CalibrationResult& b) {
+  if (!a.covariance_intrinsic || !b.covariance_intrinsic) return std::nullopt;
+  const IntrinsicComparison both = compare_intrinsic(intrinsic_values(a), *a.covariance_intrinsic,
+                                                     intrinsic_values(b), *b.covariance_intrinsic);
+  constexpr double kOutside = 0.05;
+  if (!both.chi2_probability) return std::nullopt;
+  return *both.chi2_probability >= kOutside;
+}
+
+Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench, bool with_steps) {
   const DrawnBench drawn = draw(design, seed, bench);
   Trial out;
   const RunRecord record = measured(drawn, design.reading_hz, bench, out.time_s);
@@ -210,6 +256,12 @@ Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench) {
         s[j][k].value - truth.sensitivity_matrix(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k)),
         s[j][k].standard_uncertainty);
   add_response(*result.joint->motion, out);
+  if (with_steps) {
+    double unused_s = 0.0;
+    const RunRecord stepped =
+        measured(in_steps(drawn, seed, bench), design.reading_hz, 500'000'000U + bench, unused_s);
+    out.agrees_with_steps = agree(result, joint_result(stepped, fit_item(stepped, {})));
+  }
   return out;
 }
 
@@ -220,6 +272,9 @@ ConstantRateOutcome summed(const Design& design, const std::vector<Trial>& trial
   for (const Trial& trial : trials) {
     out.failed += trial.solved ? 0 : 1;
     out.longest_s = std::max(out.longest_s, trial.time_s);
+    if (!trial.agrees_with_steps) continue;
+    ++out.pairs;
+    out.agreeing += *trial.agrees_with_steps ? 1 : 0;
   }
   for (std::size_t g = 0; g < kGroups; ++g) {
     std::vector<ErrorsAndU> of_group;
@@ -235,13 +290,16 @@ ConstantRateOutcome summed(const Design& design, const std::vector<Trial>& trial
 ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options) {
   if (options.benches < 1)
     throw std::invalid_argument("study of constant rates: at least 1 bench is required");
+  if (options.pairs < 0 || options.pairs > options.benches)
+    throw std::invalid_argument("study of constant rates: as many pairs as benches at most are possible");
   if (options.threads < 1)
     throw std::invalid_argument("study of constant rates: at least 1 thread is required");
   const auto count = static_cast<std::size_t>(options.benches);
   std::vector<Trial> trials(count * designs().size());
   const std::size_t done = each_in_parallel(
       trials.size(), {options.threads, options.stop, options.progress, 4}, [&](std::size_t i) {
-        trials[i] = run_trial(designs().at(i / count), options.seed, i % count + (i / count) * 1'000'000U);
+        trials[i] = run_trial(designs().at(i / count), options.seed, i % count + (i / count) * 1'000'000U,
+                              i < static_cast<std::size_t>(options.pairs));
       });
   ConstantRateStudy study;
   study.benches = options.benches;
@@ -265,12 +323,18 @@ std::string constant_rate_text(const ConstantRateStudy& study) {
       "standard uncertainty (figure of the design); z: rms of error / u; 95 %: coverage.\n\n",
       study.benches, study.seed);
   for (const ConstantRateOutcome& outcome : study.outcomes) {
-    text += fmt::format("{}; at most {:.0f} s{}\n", outcome.words, outcome.longest_s,
+    text += fmt::format("{}; at most {:.1f} s{}\n", outcome.words, outcome.longest_s,
                         outcome.failed > 0 ? fmt::format("; {} without a solution", outcome.failed) : "");
     for (const auto& [name, unit, group] : outcome.groups) {
       const std::string limit = group.limit > 0.0 ? fmt::format("({:.1e})", group.limit) : "";
       text += fmt::format("  {:<10} u {:.2e} {:<10} z {:.3f} ({:.3f})  95 % {:.3f}  largest z {:.1f}\n", name,
                           group.rms_u, limit, group.rms_z, group.probability, group.coverage, group.most_z);
+    }
+    if (outcome.pairs > 0) {
+      text += fmt::format(
+          "  with runs in steps of the same items on other benches: chi2 of the nine intrinsic quantities "
+          "below\n  its 95 % point in {} of {} pairs ({:.0f} expected)\n",
+          outcome.agreeing, outcome.pairs, 0.95 * outcome.pairs);
     }
   }
   if (study.interrupted) text += "\ninterrupted: the benches above are complete\n";
@@ -287,6 +351,8 @@ nlohmann::ordered_json constant_rate_json(const ConstantRateStudy& study) {
     nlohmann::ordered_json one{{"design", outcome.words},
                                {"failed", outcome.failed},
                                {"longest_s", outcome.longest_s},
+                               {"pairs_with_steps", outcome.pairs},
+                               {"pairs_that_agree", outcome.agreeing},
                                {"groups", nlohmann::ordered_json::array()}};
     for (const auto& [name, unit, group] : outcome.groups)
       one["groups"].push_back(error_group_json(name, unit, group));

@@ -13,6 +13,7 @@ namespace abcal {
 
 struct ConstantRateOptions {
   int benches = 1000;  ///< For each design.
+  int pairs = 0;       ///< So many items of the first design are measured in steps too, on other benches.
   std::uint64_t seed = 1;
   int threads = 1;
   std::stop_token stop = {};
@@ -29,6 +30,8 @@ struct ConstantRateOutcome {
   std::string words;  ///< "60 up, 20 down (degree/s), 100 Hz".
   int benches = 0;
   int failed = 0;          ///< Runs or fits without a solution.
+  int pairs = 0;           ///< Items measured in steps too, with two results.
+  int agreeing = 0;        ///< Pairs whose chi2 is below its 95 % point.
   double longest_s = 0.0;  ///< Longest time from the first move to the park position, in simulated time.
   std::vector<NamedErrorGroup> groups;
 };
