@@ -115,7 +115,7 @@ class HangTest : public ProgramTest {
  protected:
   HangTest() { ::setenv("XDG_STATE_HOME", (folder / "state").c_str(), 1); }
 
-  void start_emulator(const std::string& stage) {
+  void start_emulator(const std::string& stage, bool sweeps = false) {
     const StageCase* found = nullptr;
     for (const StageCase& one : stages())
       if (one.name == stage) found = &one;
@@ -130,6 +130,11 @@ class HangTest : public ProgramTest {
       bench = replaced(bench, "speed_deg_per_s = 700.0", "speed_deg_per_s = 5.0");
       bench = replaced(bench, "acceleration_deg_per_s2 = 20000.0", "acceleration_deg_per_s2 = 2000.0");
       bench = replaced(bench, "[bench]\n", "[bench]\nname = \"hang\"\n");
+      if (sweeps) {
+        bench = replaced(bench, "[protocol]\n",
+                         "[protocol]\nmotion = \"constant_rate\"\nrate_deg_per_s = [5, 3]\n"
+                         "acceleration_deg_per_s2 = 1000.0\n");
+      }
       return replaced(bench, "[protocol]\n", "[protocol]\nreplug_timeout_s = 20.0\n");
     };
     const std::string any = tcp ? "tcp:127.0.0.1:0" : "links/none";
@@ -158,6 +163,7 @@ class HangTest : public ProgramTest {
     test::write_file(folder / "bench.toml", text(address("stage"), address("stage-x"), address("stage-z"),
                                                  address("accelerometer")));
     port_of_x = stage == "two_controllers" ? "stage-x" : "stage";
+    is_sweeping = sweeps;
   }
 
   std::size_t measured(const std::filesystem::path& file) {
@@ -168,12 +174,23 @@ class HangTest : public ProgramTest {
     }
   }
 
-  /// Starts a run and waits until the stage turns by the step of the plan (6 s), and a random time longer.
+  /// Whether X turns through its first circle, which begins below 0 degrees and takes 72 s.
+  bool is_in_sweep() {
+    const Json x = control->ask({{"do", "status"}}).at("x");
+    return x.at("moving").get<bool>() && x.at("actual_deg").get<double>() > 5.0;
+  }
+
+  /// Starts a run and waits until the stage turns by the step of the plan (6 s) or through a circle, and a
+  /// random time longer.
   void start_in_motion(std::mt19937_64& random) {
     const std::string file = fmt::format("run-{}.run", ++runs);
     run = std::make_unique<Program>(std::vector<std::string>{"run", "bench.toml", "-o", file}, folder.path());
-    ASSERT_TRUE(test::wait_for([&] { return measured(folder / file) > 0 || !run->running(); }, 60s));
-    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves() || !run->running(); }, 20s));
+    if (is_sweeping) {
+      ASSERT_TRUE(test::wait_for([&] { return is_in_sweep() || !run->running(); }, 60s));
+    } else {
+      ASSERT_TRUE(test::wait_for([&] { return measured(folder / file) > 0 || !run->running(); }, 60s));
+      ASSERT_TRUE(test::wait_for([&] { return control->anything_moves() || !run->running(); }, 20s));
+    }
     ASSERT_TRUE(run->running()) << run->err() << run->out();
     std::this_thread::sleep_for(std::chrono::milliseconds(300 + random() % 500));
     ASSERT_TRUE(control->anything_moves());
@@ -409,8 +426,9 @@ class HangTest : public ProgramTest {
     if (injection == Injection::kStopGuard) ::kill(guard, SIGKILL);
   }
 
-  void inject_and_expect_rest(const std::string& stage, Injection injection, int times) {
-    start_emulator(stage);
+  void inject_and_expect_rest(const std::string& stage, Injection injection, int times,
+                              bool in_sweep = false) {
+    start_emulator(stage, in_sweep);
     if (HasFatalFailure()) return;
     if (injection == Injection::kKillBoth) return kill_both(times);
     if (injection == Injection::kSecondRun) return start_second_run(times);
@@ -454,6 +472,7 @@ class HangTest : public ProgramTest {
   Json axes = Json::object();
   int dwells = 0;
   std::string port_of_x;
+  bool is_sweeping = false;
   pid_t guard = -1;
   int runs = 0;
   std::chrono::seconds thaw_after{0};
@@ -500,6 +519,31 @@ INSTANTIATE_TEST_SUITE_P(
                                      Injection::kLongBabble, Injection::kKillBoth, Injection::kSecondRun,
                                      Injection::kStopBench)),
     name_of_case);
+
+/// The same while an axis turns through a circle at a constant rate.
+class InSweep : public EachInjection {};
+
+TEST_P(InSweep, LeavesNothingMoving) {
+  inject_and_expect_rest(std::get<0>(GetParam()), std::get<1>(GetParam()), 1, true);
+}
+
+INSTANTIATE_TEST_SUITE_P(Quick, InSweep,
+                         testing::Combine(testing::Values("pi_gcs"),
+                                          testing::Values(Injection::kKillRun, Injection::kKillGuard)),
+                         name_of_case);
+
+class LongInSweep : public EachInjection {};
+
+TEST_P(LongInSweep, LeavesNothingMoving) {
+  inject_and_expect_rest(std::get<0>(GetParam()), std::get<1>(GetParam()), 2, true);
+}
+
+INSTANTIATE_TEST_SUITE_P(EachStage, LongInSweep,
+                         testing::Combine(testing::ValuesIn(names_of_stages()),
+                                          testing::Values(Injection::kStopRun, Injection::kKillRun,
+                                                          Injection::kKillGuard, Injection::kUnplug,
+                                                          Injection::kFreezeBoth)),
+                         name_of_case);
 
 /// Stop from another program reaches the guard of a run that hangs, which confirms the rest of each axis.
 TEST_F(HangTest, StopOfAnotherProgramReachesTheGuardDirectly) {
