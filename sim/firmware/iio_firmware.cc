@@ -346,6 +346,8 @@ void IioFirmware::Client::take_line(const std::string& line, Clock::Instant now)
   if (command == "TIMEOUT" && words.size() == 2) return say_number(0, now);
   if (command == "READ" && words.size() > 2) return read(words, now);
   if (command == "WRITE" && words.size() > 3) return begin_write(words, line, now);
+  if ((command == "GETTRIG" || command == "SETTRIG") && !machine_->settings().knows_triggers)
+    return say_number(kNoEntry, now);
   if (command == "GETTRIG" && words.size() == 2) {
     if (!has_device) return say_number(words[1] == kTrigger ? kNoEntry : kNoDevice, now);
     if (machine_->trigger.empty()) return say_number(0, now);

@@ -15,6 +15,7 @@ struct IioSettings {
   std::string version = "0.24.v0.24  ";  ///< Version reply of the iiod: its release in seven characters.
   double rate_hz = 123.0;                ///< At power on.
   double highest_rate_hz = 4000.0;
+  bool knows_triggers = true;  ///< False: its server refuses GETTRIG and SETTRIG, as libtinyiiod does.
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 

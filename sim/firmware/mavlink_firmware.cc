@@ -26,6 +26,7 @@ constexpr std::size_t kParameterNameBytes = 16;
 // Numbers of messages, and the byte that each puts into its checksum.
 constexpr unsigned kHeartbeatMessage = 0;
 constexpr unsigned kParamReadMessage = 20;
+constexpr unsigned kParamListMessage = 21;
 constexpr unsigned kParamValueMessage = 22;
 constexpr unsigned kParamSetMessage = 23;
 constexpr unsigned kScaledImuMessage = 26;
@@ -33,12 +34,17 @@ constexpr unsigned kCommandLongMessage = 76;
 constexpr unsigned kCommandAckMessage = 77;
 constexpr unsigned kHighresImuMessage = 105;
 constexpr unsigned kVersionMessage = 148;
+constexpr unsigned kIntervalMessage = 244;
 unsigned seed_of(unsigned message) {
   switch (message) {
     case kHeartbeatMessage:
       return 50;
     case kParamReadMessage:
       return 214;
+    case kParamListMessage:
+      return 159;
+    case kIntervalMessage:
+      return 95;
     case kParamValueMessage:
       return 220;
     case kParamSetMessage:
@@ -113,6 +119,9 @@ class MavlinkFirmware::Device {
   void take_frames();
   void take_command(std::string_view payload);
   void take_parameter(std::string_view payload, bool set);
+  void list_parameters(std::string_view payload);
+  void send_parameter(std::size_t index);
+  unsigned tell_interval(double message);
   Eigen::Vector3d corrected(const Eigen::Vector3d& raw_mps2) const;
   unsigned set_interval(double message, double interval_us);
   unsigned request(double message);
@@ -141,6 +150,7 @@ class MavlinkFirmware::Device {
   std::uint64_t samples_ = 0;
   unsigned sequence_ = 0;
   std::string received_;
+  std::string frame_in_hand_;
   ReplyQueue replies_;
   Clock::Instant now_;
 };
@@ -174,20 +184,15 @@ MavlinkFirmware::Device::Device(std::shared_ptr<SimBench> bench, MavlinkSettings
   }
 }
 
-/// Reads or sets one; one that it does not have goes unanswered.
-void MavlinkFirmware::Device::take_parameter(std::string_view payload, bool set) {
-  const unsigned system = u8(payload, set ? 4 : 2);
-  if (system != 0 && system != kOurSystem) return;
-  std::string name(payload.substr(set ? 6 : 4, kParameterNameBytes));
-  name.resize(std::min(name.find('\0'), name.size()));
-  const auto found = std::find_if(parameters_.begin(), parameters_.end(),
-                                  [&](const Parameter& parameter) { return parameter.name == name; });
-  if (found == parameters_.end()) {
-    unserved_.note("parameter " + name, "not emulated: no answer");
-    return;
-  }
-  Parameter& parameter = *found;
-  if (set && !parameter.whole) parameter.value = float_at(payload, 0);
+/// All of them, one after the other.
+void MavlinkFirmware::Device::list_parameters(std::string_view payload) {
+  if (const unsigned system = u8(payload, 0); system != 0 && system != kOurSystem) return;
+  if (parameters_.empty()) unserved_.note("list of parameters", "it has none: no answer", frame_in_hand_);
+  for (std::size_t n = 0; n < parameters_.size(); ++n) send_parameter(n);
+}
+
+void MavlinkFirmware::Device::send_parameter(std::size_t index) {
+  const Parameter& parameter = parameters_.at(index);
   std::string answer;
   // PX4 keeps a whole number in the bytes of the float, ArduPilot converts it.
   if (parameter.whole && settings_.autopilot == kPx4)
@@ -195,11 +200,33 @@ void MavlinkFirmware::Device::take_parameter(std::string_view payload, bool set)
   else
     put_float(answer, static_cast<double>(parameter.value));
   put(answer, parameters_.size(), 2);
-  put(answer, static_cast<std::uint64_t>(std::distance(parameters_.begin(), found)), 2);
+  put(answer, index, 2);
+  std::string name = parameter.name;
   name.resize(kParameterNameBytes, '\0');
   answer += name;
   put(answer, parameter.whole ? 6 : 9, 1);
   replies_.push(frame(kParamValueMessage, answer), now_ + settings_.reply_delay);
+}
+
+/// Reads one, by its name or its index, or sets one; one that it does not have goes unanswered.
+void MavlinkFirmware::Device::take_parameter(std::string_view payload, bool set) {
+  const unsigned system = u8(payload, set ? 4 : 2);
+  if (system != 0 && system != kOurSystem) return;
+  std::string name(payload.substr(set ? 6 : 4, kParameterNameBytes));
+  name.resize(std::min(name.find('\0'), name.size()));
+  // An index that is not negative counts, and not the name.
+  const unsigned asked = set ? 0xFFFFU : u8(payload, 0) + 256U * u8(payload, 1);
+  const bool by_index = asked < 0x8000U;
+  const auto found = by_index ? parameters_.begin() + std::min<std::ptrdiff_t>(asked, std::ssize(parameters_))
+                              : std::find_if(parameters_.begin(), parameters_.end(),
+                                             [&](const Parameter& each) { return each.name == name; });
+  if (found == parameters_.end()) {
+    unserved_.note("parameter " + (by_index ? fmt::format("{}", asked) : name), "not emulated: no answer",
+                   frame_in_hand_);
+    return;
+  }
+  if (set && !found->whole) found->value = float_at(payload, 0);
+  send_parameter(static_cast<std::size_t>(std::distance(parameters_.begin(), found)));
 }
 
 /// Applies the corrections of its autopilot.
@@ -264,15 +291,22 @@ void MavlinkFirmware::Device::take_frames() {
     const bool sound =
         crc_of(rest.substr(1, end - 1), seed_of(message)) == u8(rest, end) + 256U * u8(rest, end + 1);
     const bool understood = message == kCommandLongMessage || message == kHeartbeatMessage ||
-                            message == kParamReadMessage || message == kParamSetMessage;
+                            message == kParamReadMessage || message == kParamSetMessage ||
+                            message == kParamListMessage;
     if (!sound || !understood) {
       ++at;
       continue;
     }
+    frame_in_hand_ = rest.substr(0, size);
     if (message == kParamReadMessage || message == kParamSetMessage) {
       std::string payload(rest.substr(header, length));
       payload.resize(23, '\0');
       take_parameter(payload, message == kParamSetMessage);
+    }
+    if (message == kParamListMessage) {
+      std::string payload(rest.substr(header, length));
+      payload.resize(2, '\0');
+      list_parameters(payload);
     }
     if (message == kCommandLongMessage) {
       std::string payload(rest.substr(header, length));
@@ -289,14 +323,16 @@ void MavlinkFirmware::Device::take_command(std::string_view payload) {
   const unsigned system = u8(payload, 30);
   const unsigned component = u8(payload, 31);
   if ((system != 0 && system != kOurSystem) || (component != 0 && component != kOurComponent)) return;
+  constexpr unsigned kGetMessageInterval = 510;
   constexpr unsigned kSetMessageInterval = 511;
   constexpr unsigned kRequestMessage = 512;
   constexpr unsigned kNotSupported = 3;
   const auto first = static_cast<double>(float_at(payload, 0));
   const auto second = static_cast<double>(float_at(payload, 4));
+  if (command == kGetMessageInterval) return acknowledge(command, tell_interval(first));
   if (command == kSetMessageInterval) return acknowledge(command, set_interval(first, second));
   if (command == kRequestMessage) return acknowledge(command, request(first));
-  unserved_.note(fmt::format("command {}", command), "not emulated: not supported");
+  unserved_.note(fmt::format("command {}", command), "not emulated: not supported", frame_in_hand_);
   acknowledge(command, kNotSupported);
 }
 
@@ -314,14 +350,31 @@ unsigned MavlinkFirmware::Device::set_interval(double message, double interval_u
     stream.next = 1;
     return 0;
   }
-  unserved_.note(fmt::format("interval of message {}", message), "not emulated: failed");
+  unserved_.note(fmt::format("interval of message {}", message), "not emulated: failed", frame_in_hand_);
   return kFailed;
+}
+
+/// In microseconds; -1: not sent, 0: there is no such message.
+unsigned MavlinkFirmware::Device::tell_interval(double message) {
+  std::int64_t interval_us = 0;
+  if (message == kHeartbeatMessage)
+    interval_us = std::chrono::duration_cast<std::chrono::microseconds>(kHeartbeatPeriod).count();
+  for (const Stream& stream : streams_)
+    if (message == stream.message && (stream.message != kHighresImuMessage || settings_.has_highres))
+      interval_us = stream.interval_us == 0 ? -1 : stream.interval_us;
+  if (interval_us == 0)
+    unserved_.note(fmt::format("interval of message {}", message), "not emulated: 0", frame_in_hand_);
+  std::string payload;
+  put(payload, static_cast<std::uint32_t>(static_cast<std::int32_t>(interval_us)), 4);
+  put(payload, static_cast<std::uint64_t>(message), 2);
+  replies_.push(frame(kIntervalMessage, payload), now_ + settings_.reply_delay);
+  return 0;
 }
 
 unsigned MavlinkFirmware::Device::request(double message) {
   constexpr unsigned kFailed = 4;
   if (message != kVersionMessage) {
-    unserved_.note(fmt::format("request of message {}", message), "not emulated: failed");
+    unserved_.note(fmt::format("request of message {}", message), "not emulated: failed", frame_in_hand_);
     return kFailed;
   }
   replies_.push(version(), now_ + settings_.reply_delay);

@@ -52,10 +52,14 @@ constexpr std::uint8_t kFilterQuaternion = 0x03;
 constexpr std::uint8_t kFilterEuler = 0x05;
 constexpr std::uint8_t kFilterGyroBias = 0x06;
 constexpr std::uint8_t kFilterAccelBias = 0x07;
+constexpr std::uint8_t kAttitudeUncertainty = 0x0A;
+constexpr std::uint8_t kGyroBiasUncertainty = 0x0B;
+constexpr std::uint8_t kAccelBiasUncertainty = 0x0C;
 constexpr std::uint8_t kLinearAcceleration = 0x0D;
 constexpr std::uint8_t kAngularRate = 0x0E;
 constexpr std::uint8_t kFilterStatus = 0x10;
 constexpr std::uint8_t kFilterTime = 0x11;
+constexpr std::uint8_t kQuaternionUncertainty = 0x12;
 constexpr std::uint8_t kGravity = 0x13;
 constexpr std::uint8_t kCompensatedAcceleration = 0x1C;
 constexpr std::uint8_t kEventSource = 0xD0;
@@ -66,10 +70,24 @@ constexpr std::array kSensorFields{
     kAccelerometer, kGyro,          kMagnetometer,  kDeltaTheta,        kDeltaVelocity,
     kInternalTime,  kGpsTime,       kTemperature,   kPressure,          kOverRange,
     kEventSource,   kSharedGpsTime, kReferenceTime, kReferenceTimeDelta};
-constexpr std::array kFilterFields{
-    kFilterQuaternion,        kFilterEuler,   kFilterGyroBias, kFilterAccelBias,   kAngularRate,
-    kLinearAcceleration,      kFilterStatus,  kFilterTime,     kGravity,           kEventSource,
-    kCompensatedAcceleration, kSharedGpsTime, kReferenceTime,  kReferenceTimeDelta};
+constexpr std::array kFilterFields{kFilterQuaternion,
+                                   kFilterEuler,
+                                   kFilterGyroBias,
+                                   kFilterAccelBias,
+                                   kAttitudeUncertainty,
+                                   kGyroBiasUncertainty,
+                                   kAccelBiasUncertainty,
+                                   kQuaternionUncertainty,
+                                   kAngularRate,
+                                   kLinearAcceleration,
+                                   kFilterStatus,
+                                   kFilterTime,
+                                   kGravity,
+                                   kEventSource,
+                                   kCompensatedAcceleration,
+                                   kSharedGpsTime,
+                                   kReferenceTime,
+                                   kReferenceTimeDelta};
 
 constexpr double kPressureMbar = 1013.25;
 constexpr double kStandardGravity = 9.80665;  // m/s2
@@ -92,25 +110,36 @@ struct Kept {
 };
 constexpr std::uint8_t kAccelBias = 0x37;
 constexpr std::uint8_t kGyroBias = 0x38;
+constexpr std::string_view kIdentity{
+    "\x3F\x80\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x3F\x80\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x3F\x80\0\0", 36};
 // Layouts: docs/protocols/mip.md. The replies of the set 0D are [unverified against a device].
 constexpr auto kKept = std::to_array<Kept>({
-    {k3dmSet, 0x2B, 0xB5, Family::kModern, 1, 1},               // event control
-    {k3dmSet, 0x2E, 0xB8, Family::kModern, 1, 0},               // event trigger
-    {k3dmSet, 0x2F, 0xB9, Family::kModern, 1, 0},               // event action
-    {k3dmSet, 0x31, 0xB1, Family::kModern, 0, 12},              // rotation to the vehicle: Euler angles
-    {k3dmSet, 0x32, 0xB2, Family::kModern, 0, 16, "\x3F\x80"},  // ... quaternion
-    {k3dmSet, 0x33, 0xB3, Family::kModern, 0, 36},              // ... matrix
-    {k3dmSet, kAccelBias, 0x9A, Family::kAll, 0, 12},           // accelerometer bias
-    {k3dmSet, kGyroBias, 0x9B, Family::kAll, 0, 12},            // gyro bias
-    {k3dmSet, 0x3E, 0x9E, Family::kAll, 0, 1, "\x01"},          // coning and sculling
-    {k3dmSet, 0x50, 0x8B, Family::kLegacy, 1, 5},               // low-pass filter
-    {k3dmSet, 0x51, 0x97, Family::kLegacy, 0, 10, "\x01\x01"},  // complementary filter
-    {k3dmSet, 0x52, 0xD2, Family::kModern, 1, 1, "\x01"},       // range of a sensor
-    {k3dmSet, 0x54, 0xD4, Family::kModern, 2, 6},               // low-pass filter
-    {kFilterSet, 0x11, 0x81, Family::kAll, 0, 12},              // rotation to the vehicle
-    {kFilterSet, 0x18, 0x87, Family::kLegacy, 0, 1, "\x01"},    // source of the heading
-    {kFilterSet, 0x19, 0x88, Family::kLegacy, 0, 1, "\x01"},    // initialises by itself
-    {kFilterSet, 0x50, 0xD0, Family::kModern, 2, 1, "\x01"},    // an aiding measurement is used
+    {k3dmSet, 0x2B, 0xB5, Family::kModern, 1, 1},                    // event control
+    {k3dmSet, 0x2E, 0xB8, Family::kModern, 1, 0},                    // event trigger
+    {k3dmSet, 0x2F, 0xB9, Family::kModern, 1, 0},                    // event action
+    {k3dmSet, 0x31, 0xB1, Family::kModern, 0, 12},                   // rotation to the vehicle: Euler angles
+    {k3dmSet, 0x32, 0xB2, Family::kModern, 0, 16, "\x3F\x80"},       // ... quaternion
+    {k3dmSet, 0x33, 0xB3, Family::kModern, 0, 36},                   // ... matrix
+    {k3dmSet, kAccelBias, 0x9A, Family::kAll, 0, 12},                // accelerometer bias
+    {k3dmSet, kGyroBias, 0x9B, Family::kAll, 0, 12},                 // gyro bias
+    {k3dmSet, 0x3A, 0x9C, Family::kAll, 0, 12},                      // hard iron offset
+    {k3dmSet, 0x3B, 0x9D, Family::kAll, 0, 36, kIdentity},           // soft iron matrix
+    {k3dmSet, 0x3E, 0x9E, Family::kAll, 0, 1, "\x01"},               // coning and sculling
+    {k3dmSet, 0x50, 0x8B, Family::kLegacy, 1, 5},                    // low-pass filter
+    {k3dmSet, 0x51, 0x97, Family::kLegacy, 0, 10, "\x01\x01"},       // complementary filter
+    {k3dmSet, 0x52, 0xD2, Family::kModern, 1, 1, "\x01"},            // range of a sensor
+    {k3dmSet, 0x54, 0xD4, Family::kModern, 2, 6},                    // low-pass filter
+    {kFilterSet, 0x11, 0x81, Family::kAll, 0, 12},                   // rotation to the vehicle
+    {kFilterSet, 0x10, 0x80, Family::kLegacy, 0, 1, "\x01"},         // vehicle dynamics: portable
+    {kFilterSet, 0x12, 0x82, Family::kLegacy, 0, 12},                // offset to the vehicle
+    {kFilterSet, 0x14, 0x84, Family::kLegacy, 0, 2, "\xFF\xFF"},     // what is estimated
+    {kFilterSet, 0x18, 0x87, Family::kLegacy, 0, 1, "\x01"},         // source of the heading
+    {kFilterSet, 0x19, 0x88, Family::kLegacy, 0, 1, "\x01"},         // initialises by itself
+    {kFilterSet, 0x1A, 0x89, Family::kLegacy, 0, 12},                // noise of the accelerometer
+    {kFilterSet, 0x1B, 0x8A, Family::kLegacy, 0, 12},                // noise of the gyro
+    {kFilterSet, 0x1D, 0x8C, Family::kLegacy, 0, 24},                // model of the gyro's bias
+    {kFilterSet, 0x41, 0xB0, Family::kLegacy, 0, 2, {"\0\x03", 2}},  // measurements that are used
+    {kFilterSet, 0x50, 0xD0, Family::kModern, 2, 1, "\x01"},         // an aiding measurement is used
 });
 constexpr unsigned kEvents = 12;
 
@@ -147,6 +176,12 @@ void put_field(std::string& payload, std::uint8_t descriptor, std::string_view d
   payload += data;
 }
 
+std::string field_of(std::uint8_t descriptor, std::string_view data) {
+  std::string field;
+  put_field(field, descriptor, data);
+  return field;
+}
+
 /// Appends a packet whose payload `put_payload` appends.
 template <class PutPayload>
 void put_packet(std::string& out, std::uint8_t set, const PutPayload& put_payload) {
@@ -166,7 +201,15 @@ std::string packet(std::uint8_t set, std::string_view payload) {
 /// Thrown by a command that is refused.
 struct Refusal {
   AckCode code;
+  std::optional<std::uint8_t> data_field = {};  ///< The field of a data set that the model does not have.
 };
+
+/// "0C,08 01 01 04 00 0A": set, command, arguments.
+std::string in_hexadecimal(std::uint8_t set, std::uint8_t command, std::string_view data) {
+  std::string text = fmt::format("{:02X},{:02X}", set, command);
+  for (const char c : data) text += fmt::format(" {:02X}", byte(c));
+  return text;
+}
 
 /// The data of one command field, read from the front.
 class Arguments {
@@ -260,7 +303,7 @@ class MipFirmware::Device {
   void require(Family family) const {
     if (!has(family)) throw Refusal{kUnknown};
   }
-  bool has_magnetometer() const { return settings_.model_name.find("AHRS") != std::string::npos; }
+  bool has_magnetometer() const { return settings_.magnetometer; }
   Answer event_support(Arguments arguments) const;
   static Answer event_status(bool of_triggers, Arguments arguments);
   std::optional<Answer> message_format(bool modern, std::uint8_t legacy_set, Arguments arguments);
@@ -270,7 +313,8 @@ class MipFirmware::Device {
   std::optional<Answer> stream_control(Arguments arguments);
   std::optional<Answer> baud_rate(bool modern, Arguments arguments);
   void device_settings(Arguments arguments);
-  void poll(Arguments arguments);
+  Answer device_status(Arguments arguments) const;
+  void poll(Arguments arguments, std::optional<std::uint8_t> legacy_set);
   std::string device_info() const;
   std::string descriptors() const;
   const SimOutput& output_at(std::uint64_t tick) const;
@@ -407,8 +451,13 @@ void MipFirmware::Device::run_packet(std::uint8_t set, std::string_view payload,
         answer = run_command(set, command, Arguments(data));
       } catch (const Refusal& refusal) {
         code = refusal.code;
-        if (code == kUnknown)
-          unserved_.note(fmt::format("{:02X},{:02X}", set, command), "not emulated: NACK 01");
+        const std::string bytes = packet(set, field_of(command, data));
+        if (code == kUnknown) {
+          unserved_.note(in_hexadecimal(set, command, ""), "not emulated: NACK 01", bytes);
+        } else if (refusal.data_field) {
+          unserved_.note(in_hexadecimal(set, command, data),
+                         fmt::format("no data field {:02X}: NACK 03", *refusal.data_field), bytes);
+        }
       }
     }
     if (!suppress_ack_)
@@ -492,24 +541,25 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
                                                                         Arguments arguments) {
   std::string data;
   switch (command) {
+    case 0x01:  // poll of the sensors, of the filter
+    case 0x03:
+      poll(arguments, command == 0x01 ? kSensorData : kFilterData);
+      return std::nullopt;
+    // The 7 series knows the older names of format and base rate too [unverified against a device].
     case 0x06:  // base rate, legacy
-      if (!settings_.legacy_commands) throw Refusal{kUnknown};
       arguments.done();
       put_big_endian(data, static_cast<std::uint16_t>(settings_.base_rate_hz));
       return Answer{0x83, data};
     case 0x08:
-      if (!settings_.legacy_commands) throw Refusal{kUnknown};
       return message_format(false, kSensorData, arguments);
     case 0x0A:
-      require(Family::kLegacy);
       return message_format(false, kFilterData, arguments);
     case 0x0B:  // base rate of the filter, legacy
-      require(Family::kLegacy);
       arguments.done();
       put_big_endian(data, static_cast<std::uint16_t>(settings_.base_rate_hz));
       return Answer{0x8A, data};
     case 0x0D:
-      poll(arguments);
+      poll(arguments, std::nullopt);
       return std::nullopt;
     case 0x0E: {  // base rate, modern
       if (!settings_.modern_commands) throw Refusal{kUnknown};
@@ -543,6 +593,9 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
       return std::nullopt;
     case 0x40:
       return baud_rate(false, arguments);
+    case 0x64:
+      require(Family::kLegacy);
+      return device_status(arguments);
     default:
       throw Refusal{kUnknown};
   }
@@ -654,7 +707,8 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::message_format(b
       for (unsigned n = 0; n < count; ++n) {
         const std::uint8_t descriptor = arguments.u8();
         const std::uint16_t decimation = arguments.u16();
-        if (!has_field(set, descriptor, has_magnetometer()) || decimation == 0) throw Refusal{kBadParameter};
+        if (!has_field(set, descriptor, has_magnetometer())) throw Refusal{kBadParameter, descriptor};
+        if (decimation == 0) throw Refusal{kBadParameter};
         wanted.push_back({descriptor, decimation});
       }
       arguments.done();
@@ -781,9 +835,34 @@ void MipFirmware::Device::device_settings(Arguments arguments) {
   }
 }
 
-void MipFirmware::Device::poll(Arguments arguments) {
+/// State and counters of the streams, none of which has lost anything [unverified against a device].
+MipFirmware::Device::Answer MipFirmware::Device::device_status(Arguments arguments) const {
+  constexpr std::uint8_t kBasic = 1;
+  constexpr std::uint8_t kDiagnostic = 2;
+  constexpr std::size_t kPulses = 2;      // Pulses of a satellite receiver: number and time.
+  constexpr std::size_t kCounters = 13;   // Packets, bytes and overruns of each port.
+  std::string data = arguments.bytes(2);  // The model that the host has named.
+  const std::uint8_t selector = arguments.u8();
+  arguments.done();
+  if (selector != kBasic && selector != kDiagnostic) throw Refusal{kBadParameter};
+  put(data, selector);
+  put_big_endian(data, std::uint32_t{0});  // no fault
+  put_big_endian(data,
+                 static_cast<std::uint32_t>(
+                     std::chrono::duration_cast<std::chrono::milliseconds>(now_ - powered_since_).count()));
+  if (selector == kDiagnostic) {
+    data.append(4 * kPulses, '\0');
+    for (const std::uint8_t set : {kSensorData, kFilterData})
+      put(data, current_.streams.at(set).on ? std::uint8_t{1} : std::uint8_t{0});
+    data.append(4 * kCounters, '\0');
+  }
+  return {0x90, data};
+}
+
+/// @param legacy_set  the data set that the command itself names; absent: the command says which
+void MipFirmware::Device::poll(Arguments arguments, std::optional<std::uint8_t> legacy_set) {
   // The maker's check file puts the two bytes the other way round than his command list: both are taken.
-  std::uint8_t set = arguments.u8();
+  std::uint8_t set = legacy_set ? *legacy_set : arguments.u8();
   std::uint8_t suppress_ack = arguments.u8();
   if (set <= 1 && (suppress_ack == kSensorData || suppress_ack == kFilterData)) std::swap(set, suppress_ack);
   const std::uint8_t count = arguments.u8();
@@ -795,7 +874,7 @@ void MipFirmware::Device::poll(Arguments arguments) {
   for (unsigned n = 0; n < count; ++n) {
     fields.push_back(arguments.u8());
     if (with_reserved) arguments.u16();
-    if (!has_field(set, fields.back(), has_magnetometer())) throw Refusal{kBadParameter};
+    if (!has_field(set, fields.back(), has_magnetometer())) throw Refusal{kBadParameter, fields.back()};
   }
   if (fields.empty())
     for (const Rate& rate : current_.streams[set].format) fields.push_back(rate.descriptor);
@@ -827,12 +906,12 @@ std::string MipFirmware::Device::descriptors() const {
   add(kBaseSet, {0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08});
   if (settings_.modern_commands) add(kBaseSet, {0x09});
   add(kBaseSet, {0x7E});
-  if (settings_.legacy_commands) add(k3dmSet, {0x06, 0x08, 0x0A, 0x0B});
-  add(k3dmSet, {0x0D});
+  add(k3dmSet, {0x01, 0x03, 0x06, 0x08, 0x0A, 0x0B, 0x0D});
   if (settings_.modern_commands) add(k3dmSet, {0x0E, 0x0F, 0x2A, 0x2C, 0x2D});
   add(k3dmSet, {0x11, 0x30, 0x39, 0x40});
   for (const Kept& kept : kKept)
     if (has(kept.family)) add(kept.set, {kept.command});
+  if (settings_.legacy_commands) add(k3dmSet, {0x64});
   add(kFilterSet, {0x01, 0x02, 0x03});
   for (const std::uint8_t field : kSensorFields)
     if (has_field(kSensorData, field, has_magnetometer())) add(kSensorData, {field});
@@ -1003,8 +1082,11 @@ void MipFirmware::Device::put_filter_data(std::string& out, std::uint8_t field, 
       for (int j = 0; j < 3; ++j) put_big_endian_float(out, gravity[j]);
       break;
     }
-    default:  // biases that it has found, linear acceleration: the axes of the stage meet in the
-              // accelerometer
+    case kQuaternionUncertainty:
+      out.append(16, '\0');
+      break;
+    default:  // uncertainties, as these outputs have no errors; biases that it has found; linear
+              // acceleration: the axes of the stage meet in the accelerometer
       out.append(12, '\0');
   }
   put_valid();

@@ -10,7 +10,6 @@
 namespace abcal::sim {
 
 struct MipSettings {
-  /// One with "AHRS" in it has a magnetometer, an "AR" has none.
   std::string model_name = "3DM-GV7-AR";
   std::string model_number = "6284-9999";
   std::string serial_number = "6284.123456";
@@ -19,7 +18,8 @@ struct MipSettings {
   unsigned firmware_version = 1103;  ///< 1.1.03
   unsigned base_rate_hz = 1000;
   unsigned baud = 115200;
-  bool legacy_commands = true;         ///< 0C,06 and 0C,08; 0C,0A and 0C,0B; 0D,18 and 0D,19: as a GX5.
+  bool magnetometer = true;            ///< An AR has none.
+  bool legacy_commands = true;         ///< 0C,50; 0C,64; 0D,10 to 0D,41: as a GX5.
   bool modern_commands = true;         ///< 0C,0E and 0C,0F; 01,09; 0C,2A to 0C,2F; 0D,50: as a 7 series.
   bool streaming_at_power_on = false;  ///< The instrument's settings were saved with the stream on.
   Clock::Duration reply_delay = std::chrono::microseconds(200);
@@ -30,7 +30,8 @@ struct MipSettings {
 /// time. Its biases of accelerometer and gyro (0C,37 and 0C,38) are subtracted. Gyro, magnetometer and the
 /// filter (data set 82), which comes up a second after it is reset, show the motion of the platter
 /// (SimBench::body_motion); events can be set and are not carried out. Commands that it does not know are
-/// refused by code 1, and noted (unserved()). A new baud rate holds from the end of its answer on.
+/// refused by code 1, and noted (unserved()), as are commands with a field that the model does not have. A
+/// new baud rate holds from the end of its answer on.
 class MipFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if the base rate or a text does not fit its field.

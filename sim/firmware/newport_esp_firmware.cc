@@ -522,7 +522,7 @@ void NewportEspFirmware::Controller::run_command(std::string_view text) {
   const auto found = commands().find(name);
   const auto kept = kept_settings().find(name);
   if (found == commands().end() && kept == kept_settings().end()) {
-    unserved_.note(name, "not emulated: error 6, no answer");
+    unserved_.note(name, "not emulated: error 6, no answer", text);
     return remember(kNoSuchCommand);
   }
   // The number before a program command is the program's, not an axis'.

@@ -203,7 +203,10 @@ class PiGcsFirmware::Controller {
   Lines goh(const Words& a);
   Lines hpa(const Words&);
   Lines joystick(const Words& a);
-  Lines get_joystick(const Words&) { return {"1=0"}; }
+  std::size_t joystick_number(const std::string& text) const;
+  Lines get_joystick(const Words& a);
+  Lines channels(const Words&) { return {"0"}; }  ///< Piezo channels: these controllers drive motors.
+  Lines hand_control(const Words& a);
   Lines set_sep(const Words& a);
   Lines get_sep(const Words& a);
   Lines tio(const Words&) { return {"I=4", "O=4"}; }
@@ -317,6 +320,8 @@ PiGcsFirmware::Controller::commands() {
       {"FRF?", {"[{<AxisID>}] Get Referencing Result", &C::get_frf}},
       {"GOH", {"[{<AxisID>}] Go To Home Position", &C::goh}},
       {"HAR?", {"[{<AxisID>}] Indicate Hard Stops", &C::no}},
+      {"HIN", {"{<AxisID> <State>} Set Activation State For HID Control", &C::hand_control}},
+      {"HIN?", {"[{<AxisID>}] Get Activation State Of HID Control", &C::no}},
       {"HLP?", {"Get List Of Available Commands", &C::hlp}},
       {"HLT", {"[{<AxisID>}] Halt Motion Smoothly", &C::hlt}},
       {"HPA?", {"Get List Of Available Parameters", &C::hpa}},
@@ -344,6 +349,7 @@ PiGcsFirmware::Controller::commands() {
       {"TIO?", {"Tell Digital I/O Lines", &C::tio}},
       {"TMN?", {"[{<AxisID>}] Get Minimum Commandable Position", &C::get_tmn}},
       {"TMX?", {"[{<AxisID>}] Get Maximum Commandable Position", &C::get_tmx}},
+      {"TPC?", {"Get Number Of Piezo Channels", &C::channels}},
       {"TRS?", {"[{<AxisID>}] Indicate Reference Switch", &C::yes}},
       {"TVI?", {"Tell Valid Character Set For Axis Identifiers", &C::tvi}},
       {"VEL", {"{<AxisID> <Velocity>} Set Closed-Loop Velocity", &C::set_vel}},
@@ -422,7 +428,7 @@ void PiGcsFirmware::Controller::run_line(std::string line) {
   words.erase(words.begin());
   if (!knows(name)) {
     error_ = kUnknownCommand;
-    unserved_.note(name, "not emulated: error 2, no answer");
+    unserved_.note(name, "not emulated: error 2, no answer", line);
     return;
   }
   try {
@@ -990,7 +996,29 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::goh(const Words& a) 
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::joystick(const Words& a) {
   if (a.size() < 2) throw Refusal{kMissingParameter};
+  joystick_number(a[0]);
   if (flag(a[1])) throw Refusal{kNotAllowed};  // No joystick is connected.
+  return {};
+}
+
+/// There is a connector for each axis of the controller [unverified against a device].
+std::size_t PiGcsFirmware::Controller::joystick_number(const std::string& text) const {
+  const double wanted = number(text);
+  if (!(wanted >= 1.0 && wanted <= static_cast<double>(axes_or_all({}).size()))) throw Refusal{kOutOfRange};
+  return static_cast<std::size_t>(wanted);
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_joystick(const Words& a) {
+  Lines lines;
+  for (const std::string& each : a) lines.push_back(fmt::format("{}=0", joystick_number(each)));
+  for (std::size_t n = 1; a.empty() && n <= axes_or_all({}).size(); ++n)
+    lines.push_back(fmt::format("{}=0", n));
+  return lines;
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::hand_control(const Words& a) {
+  for (const auto& [k, value] : pairs(a))
+    if (flag(value)) throw Refusal{kNotAllowed};  // No device is connected.
   return {};
 }
 

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <map>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
@@ -239,6 +240,14 @@ class ScpiVoltmeterFirmware::Meter {
     std::optional<std::string> (Meter::*run)(const std::vector<std::string>& arguments);
     unsigned families = kAll;
   };
+  enum class Kind { kBoolean, kNumber, kWhole, kWord, kText };
+  /// A setting that is kept, read back by its query, and changes nothing.
+  struct KeptSetting {
+    std::string_view pattern;
+    Kind kind;
+    std::string_view initial;
+    unsigned families = kAll;
+  };
   enum : unsigned {
     kScanner = 1,
     kSingle = 2,  ///< But a 34401A.
@@ -261,6 +270,10 @@ class ScpiVoltmeterFirmware::Meter {
   using Reply = std::optional<std::string>;
 
   static const std::vector<Command>& commands();
+  static const std::vector<KeptSetting>& kept_settings();
+  const KeptSetting* kept_setting(std::string_view header) const;
+  Reply keep(const KeptSetting& setting, const Arguments& a);
+  std::string kept(const KeptSetting& setting) const;
 
   void power_on();
   void run_message(const std::string& message);
@@ -369,11 +382,24 @@ class ScpiVoltmeterFirmware::Meter {
   Reply ask_trigger_source(const Arguments&) { return trigger_source_; }
   Reply trigger_count(const Arguments& a);
   Reply ask_trigger_count(const Arguments&) {
+    if (keithley()) return fmt::format("{}", trigger_count_);
     return fmt::format("{:+.8E}", static_cast<double>(trigger_count_));
   }
   Reply sample_count(const Arguments& a);
   Reply ask_sample_count(const Arguments&) { return fmt::format("+{}", sample_count_); }
   Reply delay(const Arguments& a);
+  Reply ask_delay(const Arguments&) { return fmt::format("{:+.8E}", channel_delay_s_); }
+  double resolution_of_range() const;
+  Reply ask_resolution(const Arguments&) { return fmt::format("{:+.8E}", resolution_of_range()); }
+  Reply terminals(const Arguments&) { return "FRON"; }
+  Reply clear_text(const Arguments&);
+  Reply ask_closed(const Arguments&);
+  Reply ask_closed_states(const Arguments& a);
+  Reply ask_with_channel(const Arguments&) { return with_channel_ ? "1" : "0"; }
+  Reply ask_with_unit(const Arguments&) { return with_unit_ ? "1" : "0"; }
+  Reply ask_with_time(const Arguments&) { return with_time_ ? "1" : "0"; }
+  Reply ask_continuous(const Arguments&) { return continuous_ ? "1" : "0"; }
+  Reply ask_format(const Arguments&) { return "ASC"; }
   Reply with_channel(const Arguments& a);
   Reply with_unit(const Arguments& a);
   Reply with_time(const Arguments& a);
@@ -401,6 +427,7 @@ class ScpiVoltmeterFirmware::Meter {
   std::size_t arm_count_ = 1;  ///< 2001: how many channels of the list.
   int closed_channel_ = 0;     ///< Keithley: measured while it does not scan; 0: the front input.
   double channel_delay_s_ = 0.0;
+  std::map<std::string_view, std::string> kept_;  ///< By the pattern of kept_settings().
   bool with_channel_ = false;
   bool with_unit_ = false;
   bool with_time_ = false;
@@ -482,6 +509,7 @@ void ScpiVoltmeterFirmware::Meter::power_on() {
   channel_delay_s_ = 0.0;
   with_channel_ = with_time_ = with_unit_ = with_number_ = false;
   if (keithley()) with_unit_ = with_time_ = with_number_ = true;  // READ, UNIT, TST, RNUM
+  kept_.clear();
   continuous_ = false;
   has_samples_ = false;
   samples_.clear();
@@ -498,6 +526,7 @@ unsigned ScpiVoltmeterFirmware::Meter::family() const {
   }
 }
 
+// A table of names. NOLINTNEXTLINE(readability-function-size)
 const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware::Meter::commands() {
   using M = Meter;
   static const std::vector<Command> table{
@@ -523,17 +552,14 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"SYSTem:RWLock", &M::remote},
       {"SYSTem:LOCal", &M::local},
       {"SYSTem:PRESet", &M::rst},
-      {"SYSTem:BEEPer[:STATe]", &M::nothing},
+      {"SYSTem:BEEPer[:IMMediate]", &M::nothing},
       {"SYSTem:CTYPe?", &M::card, kScanner},
       {"SYSTem:DATE", &M::nothing},
       {"SYSTem:DATE?", &M::ask_date},
       {"SYSTem:TIME", &M::nothing},
       {"SYSTem:TIME?", &M::ask_time},
       {"SYSTem:CLEar", &M::clear_errors, kKeithley},
-      {"DISPlay[:STATe]", &M::nothing},
-      {"DISPlay:ENABle", &M::nothing},
-      {"DISPlay:TEXT[:DATA]", &M::nothing},
-      {"DISPlay:TEXT:CLEar", &M::nothing},
+      {"DISPlay:TEXT:CLEar", &M::clear_text},
       {"DIAGnostic:DMM:CYCLes?", &M::three_zeros, kScanner},
       {"DIAGnostic:RELay:CYCLes?", &M::relay_counts, kScanner},
       {"DIAGnostic:PEEK:SLOT:DATA?", &M::three_zeros, kScanner},
@@ -568,26 +594,26 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"[SENSe:]VOLTage[:DC]:RANGe:AUTO", &M::range_auto},
       {"[SENSe:]VOLTage[:DC]:RANGe:AUTO?", &M::ask_range_auto},
       {"[SENSe:]VOLTage[:DC]:RESolution", &M::resolution, kKeysight},
+      {"[SENSe:]VOLTage[:DC]:RESolution?", &M::ask_resolution, kKeysight},
       {"[SENSe:]VOLTage[:DC]:ZERO:AUTO", &M::zero_auto, kKeysight},
       {"[SENSe:]VOLTage[:DC]:ZERO:AUTO?", &M::ask_zero_auto, kKeysight},
       {"[SENSe:]ZERO:AUTO", &M::zero_auto, kKeysight},
       {"[SENSe:]ZERO:AUTO?", &M::ask_zero_auto, kKeysight},
       {"SYSTem:AZERo[:STATe]", &M::zero_auto, kKeithley},
       {"SYSTem:AZERo[:STATe]?", &M::ask_zero_auto, kKeithley},
-      {"[SENSe:]VOLTage[:DC]:AVERage[:STATe]", &M::nothing, kKeithley},
-      {"[SENSe:]VOLTage[:DC]:DIGits", &M::nothing, kKeithley},
-      {"INPut:IMPedance:AUTO", &M::nothing, kKeysight},
       {"ROUTe:SCAN[:INTernal]", &M::scan, kScanner | kKeithley},
       {"ROUTe:SCAN[:INTernal]?", &M::ask_scan, kScanner | kKeithley},
       {"ROUTe:SCAN:SIZE?", &M::ask_scan_size, kScanner},
       {"ROUTe:SCAN:LSELect", &M::scan_select, kKeithley},
       {"ROUTe:CHANnel:DELay", &M::delay, kScanner},
-      {"TRIGger:DELay", &M::delay},
-      {"TRIGger:DELay:AUTO", &M::nothing},
-      {"TRIGger:SOURce", &M::trigger_source},
-      {"TRIGger:SOURce?", &M::ask_trigger_source},
-      {"TRIGger:COUNt", &M::trigger_count},
-      {"TRIGger:COUNt?", &M::ask_trigger_count},
+      {"ROUTe:CHANnel:DELay?", &M::ask_delay, kScanner},
+      {"ROUTe:TERMinals?", &M::terminals, kSingles},
+      {"TRIGger[:SEQuence]:DELay", &M::delay},
+      {"TRIGger[:SEQuence]:DELay?", &M::ask_delay},
+      {"TRIGger[:SEQuence]:SOURce", &M::trigger_source},
+      {"TRIGger[:SEQuence]:SOURce?", &M::ask_trigger_source},
+      {"TRIGger[:SEQuence]:COUNt", &M::trigger_count},
+      {"TRIGger[:SEQuence]:COUNt?", &M::ask_trigger_count},
       {"SAMPle:COUNt", &M::sample_count, kSingles | k2700},
       {"SAMPle:COUNt?", &M::ask_sample_count, kSingles | k2700},
       {"ARM:LAYer2:COUNt", &M::arm_count, k2001},
@@ -596,17 +622,26 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"ARM:LAYer2:SOURce?", &M::immediate, k2001},
       {"ROUTe:CLOSe", &M::close_channel, kKeithley},
       {"ROUTe:MULTiple:CLOSe", &M::close_channel, kKeithley},
+      {"ROUTe:CLOSe?", &M::ask_closed, kKeithley},
+      {"ROUTe:MULTiple:CLOSe?", &M::ask_closed, kKeithley},
+      {"ROUTe:CLOSe:STATe?", &M::ask_closed_states, kKeithley},
+      {"ROUTe:MULTiple:STATe?", &M::ask_closed_states, kKeithley},
       {"ROUTe:OPEN", &M::open_channels, kKeithley},
+      {"ROUTe:MULTiple:OPEN", &M::open_channels, kKeithley},
       {"ROUTe:OPEN:ALL", &M::open_channels, kKeithley},
       {"ROUTe:MULTiple:OPEN:ALL", &M::open_channels, kKeithley},
       {"FORMat:READing:CHANnel", &M::with_channel, kScanner},
       {"FORMat:READing:UNIT", &M::with_unit, kScanner},
       {"FORMat:READing:TIME", &M::with_time, kScanner},
-      {"FORMat:READing:ALARm", &M::nothing, kScanner},
+      {"FORMat:READing:CHANnel?", &M::ask_with_channel, kScanner},
+      {"FORMat:READing:UNIT?", &M::ask_with_unit, kScanner},
+      {"FORMat:READing:TIME?", &M::ask_with_time, kScanner},
       {"FORMat:ELEMents", &M::elements, kKeithley},
       {"FORMat[:DATA]", &M::nothing},
+      {"FORMat[:DATA]?", &M::ask_format},
       {"INITiate[:IMMediate]", &M::initiate},
       {"INITiate:CONTinuous", &M::initiate_continuous, kKeithley},
+      {"INITiate:CONTinuous?", &M::ask_continuous, kKeithley},
       {"FETCh?", &M::fetch},
       {"READ?", &M::read},
       {"ABORt", &M::abort},
@@ -614,19 +649,95 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"TRACe:CLEar", &M::nothing, kKeithley},
       {"TRACe:POINts", &M::nothing, kKeithley},
       {"TRACe:POINts?", &M::points, kKeithley},
-      {"TRACe:FEED", &M::nothing, kKeithley},
-      {"TRACe:FEED:CONTrol", &M::nothing, kKeithley},
-      {"TRACe:EGRoup", &M::nothing, k2001},
       {"TRACe:DATA?", &M::stored, kKeithley},
       {"DATA:CLEar", &M::nothing, kKeithley},
       {"DATA:POINts", &M::nothing, kKeithley},
-      {"DATA:FEED", &M::nothing, kKeithley},
-      {"DATA:FEED:CONTrol", &M::nothing, kKeithley},
-      {"DATA:EGRoup", &M::nothing, k2001},
       {"DATA:DATA?", &M::stored, kKeithley},
       {"DATA[:LATest]?", &M::stored, kKeithley},
   };
   return table;
+}
+
+// Initial values: [unverified against a device].
+const std::vector<ScpiVoltmeterFirmware::Meter::KeptSetting>& ScpiVoltmeterFirmware::Meter::kept_settings() {
+  static const std::vector<KeptSetting> table{
+      {"SYSTem:BEEPer:STATe", Kind::kBoolean, "1"},
+      {"DISPlay[:STATe]", Kind::kBoolean, "1", kKeysight},
+      {"DISPlay:ENABle", Kind::kBoolean, "1"},
+      {"DISPlay:TEXT[:DATA]", Kind::kText, ""},
+      {"DISPlay:TEXT:STATe", Kind::kBoolean, "0", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:AVERage[:STATe]", Kind::kBoolean, "0", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:AVERage:COUNt", Kind::kWhole, "10", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:AVERage:TCONtrol", Kind::kWord, "REP", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:DIGits", Kind::kWhole, "7", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:REFerence", Kind::kNumber, "0", kKeithley},
+      {"[SENSe:]VOLTage[:DC]:REFerence:STATe", Kind::kBoolean, "0", kKeithley},
+      {"[SENSe:]DETector:BANDwidth", Kind::kNumber, "20", kSingles},
+      {"INPut:IMPedance:AUTO", Kind::kBoolean, "0", kKeysight},
+      {"TRIGger[:SEQuence]:DELay:AUTO", Kind::kBoolean, "1"},
+      {"FORMat:READing:ALARm", Kind::kBoolean, "0", kScanner},
+      {"FORMat:BORDer", Kind::kWord, "NORM"},
+      {"TRACe:FEED", Kind::kWord, "SENS1", kKeithley},
+      {"TRACe:FEED:CONTrol", Kind::kWord, "NEV", kKeithley},
+      {"TRACe:EGRoup", Kind::kWord, "FULL", k2001},
+      {"DATA:FEED", Kind::kWord, "SENS1", kKeithley},
+      {"DATA:FEED:CONTrol", Kind::kWord, "NEV", kKeithley},
+      {"DATA:EGRoup", Kind::kWord, "FULL", k2001},
+  };
+  return table;
+}
+
+/// The setting that a header sets or, ending in a question mark, asks for.
+const ScpiVoltmeterFirmware::Meter::KeptSetting* ScpiVoltmeterFirmware::Meter::kept_setting(
+    std::string_view header) const {
+  if (header.ends_with('?')) header.remove_suffix(1);
+  const auto found =
+      std::find_if(kept_settings().begin(), kept_settings().end(), [&](const KeptSetting& each) {
+        return (each.families & family()) != 0 && matches(each.pattern, header);
+      });
+  return found == kept_settings().end() ? nullptr : &*found;
+}
+
+std::string ScpiVoltmeterFirmware::Meter::kept(const KeptSetting& setting) const {
+  const auto found = kept_.find(setting.pattern);
+  const std::string value = found != kept_.end() ? found->second : std::string(setting.initial);
+  switch (setting.kind) {
+    case Kind::kNumber:
+      return fmt::format("{:+.8E}", number(value));
+    case Kind::kText:
+      return '"' + value + '"';
+    default:
+      return value;
+  }
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::keep(const KeptSetting& setting,
+                                                                       const Arguments& a) {
+  if (a.empty()) throw Refusal{kMissingParameter};
+  std::string value = a[0];
+  switch (setting.kind) {
+    case Kind::kBoolean:
+      value = boolean(value) ? "1" : "0";
+      break;
+    case Kind::kNumber:
+      number(value);
+      break;
+    case Kind::kWhole:
+      value = fmt::format("{}", std::lround(number(value)));
+      break;
+    case Kind::kWord:
+      value = upper(value);
+      break;
+    case Kind::kText:
+      std::erase_if(value, [](char c) { return c == '"' || c == '\''; });
+  }
+  kept_[setting.pattern] = value;
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::clear_text(const Arguments&) {
+  kept_.erase("DISPlay:TEXT[:DATA]");
+  return std::nullopt;
 }
 
 // Bytes.
@@ -698,6 +809,7 @@ void ScpiVoltmeterFirmware::Meter::run_message(const std::string& message) {
       }
     } catch (const Refusal& refusal) {
       remember(refusal.code);  // A refused query does not answer.
+      if (refusal.code == kUndefinedHeader) unserved_.note(header, "not emulated: error -113", unit);
     }
   }
   if (!answer.empty()) replies_.push(answer + "\n", busy_until_.value_or(now_) + settings_.reply_delay);
@@ -723,7 +835,14 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::run_command(st
     }
     return (this->*found->run)(arguments.empty() ? Arguments{} : split(arguments, ','));
   }
-  unserved_.note(header, "not emulated: error -113");
+  for (const std::string& each : tries) {
+    const KeptSetting* setting = kept_setting(each);
+    if (setting == nullptr) continue;
+    const std::size_t colon = each.rfind(':');
+    path = colon == std::string::npos ? "" : each.substr(0, colon + 1);
+    if (each.ends_with('?')) return kept(*setting);
+    return keep(*setting, arguments.empty() ? Arguments{} : split(arguments, ','));
+  }
   throw Refusal{kUndefinedHeader};
 }
 
@@ -1043,6 +1162,21 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::open_channels(
   return std::nullopt;
 }
 
+/// Channels that are closed: "(@101)".
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_closed(const Arguments&) {
+  return closed_channel_ == 0 ? "(@)" : fmt::format("(@{})", closed_channel_);
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_closed_states(const Arguments& a) {
+  Arguments rest = a;
+  const auto channels = take_channel_list(rest);
+  if (!channels || channels->empty()) throw Refusal{kMissingParameter};
+  std::string states;
+  for (const int channel : *channels)
+    states += fmt::format("{}{}", states.empty() ? "" : ",", channel == closed_channel_ ? 1 : 0);
+  return states;
+}
+
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::arm_count(const Arguments& a) {
   if (a.empty()) throw Refusal{kMissingParameter};
   arm_count_ = static_cast<std::size_t>(number_or_limit(a[0], 1.0, static_cast<double>(kMostReadings)));
@@ -1100,10 +1234,16 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::configure(cons
   return std::nullopt;
 }
 
-ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_configure(const Arguments& a) {
-  const double range = range_ > 0.0 ? range_ : 10.0;
+/// In volts.
+double ScpiVoltmeterFirmware::Meter::resolution_of_range() const {
   const double digits = nplc_ >= 10.0 ? 1e-6 : nplc_ >= 1.0 ? 3e-6 : nplc_ >= 0.2 ? 1e-5 : 1e-4;
-  const std::string one = fmt::format("\"VOLT {:+.6E},{:+.6E}\"", range, range * digits);
+  return digits * (range_ > 0.0 ? range_ : 10.0);
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_configure(const Arguments& a) {
+  if (keithley()) return "\"VOLT:DC\"";
+  const double range = range_ > 0.0 ? range_ : 10.0;
+  const std::string one = fmt::format("\"VOLT {:+.6E},{:+.6E}\"", range, resolution_of_range());
   Arguments rest = a;
   const auto channels = take_channel_list(rest);
   std::size_t count = 1;
@@ -1130,8 +1270,10 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::function(const
   std::string name = upper(rest[0]);
   std::erase_if(name, [](char c) { return c == '"' || c == '\''; });
   // A voltmeter measures other things as well; this one only direct voltage.
-  if (name != "VOLT" && name != "VOLT:DC" && name != "VOLTAGE" && name != "VOLTAGE:DC")
+  if (name != "VOLT" && name != "VOLT:DC" && name != "VOLTAGE" && name != "VOLTAGE:DC") {
+    unserved_.note("FUNC " + name, "not emulated: error -224");
     throw Refusal{kIllegalParameter};
+  }
   return std::nullopt;
 }
 

@@ -49,15 +49,59 @@ std::string padded(std::string text, std::size_t width) {
   return text;
 }
 
+/// Status messages without being asked, ten times a second. A controller whose host has not sent "server
+/// alive" (0492) for so many of them sends no more [unverified against a device].
+constexpr Clock::Duration kUpdatePeriod = std::chrono::milliseconds(100);
+constexpr unsigned kUpdatesWithoutAck = 50;
+
+constexpr double kOnAndOnDegrees = 3600.0;  // As far as the counter of a fine encoder goes.
+constexpr double kJogStepDegrees = 5.0;
+constexpr unsigned kContinuousJog = 1;
+constexpr unsigned kSingleJog = 2;
+constexpr unsigned kForward = 1;
+constexpr unsigned kReverse = 2;
+constexpr unsigned kReverseLimitSwitch = 1;
+constexpr unsigned kLimitSwitchIgnored = 1;
+constexpr unsigned kLimitSwitchMakes = 2;
+constexpr unsigned kProfiledStop = 2;
+
+enum MessageId : unsigned {
+  kSetJog = 0x0416,
+  kSetLimitSwitches = 0x0423,
+  kSetHoming = 0x0440,
+  kSetRelativeMove = 0x0445,
+  kSetAbsoluteMove = 0x0450,
+};
+
 /// Parameters that are only stored: set by one message, requested by the next, reported by the third.
 struct KeptParameters {
   unsigned set;
-  unsigned size;
+  unsigned size;  ///< With the channel; 0: a message without data, whose second parameter is the value.
 };
-constexpr std::array kKept{KeptParameters{0x0409, 6},  KeptParameters{0x0416, 22}, KeptParameters{0x0423, 16},
-                           KeptParameters{0x0426, 6},  KeptParameters{0x043A, 6},  KeptParameters{0x0440, 14},
-                           KeptParameters{0x04B0, 12}, KeptParameters{0x0500, 16}};
-
+constexpr auto kKept = std::to_array<KeptParameters>({
+    {0x0213, 0},              // digital outputs
+    {0x0409, 6},              // encoder counter
+    {kSetJog, 22},            //
+    {kSetLimitSwitches, 16},  //
+    {0x0426, 6},              // power at rest and moving
+    {0x043A, 6},              // backlash
+    {kSetHoming, 14},         //
+    {kSetRelativeMove, 6},    //
+    {kSetAbsoluteMove, 6},    //
+    {0x04A0, 20},             // loop of a DC motor
+    {0x04B0, 26},             // potentiometer
+    {0x04B3, 4},              // lights
+    {0x04B6, 16},             // buttons
+    {0x04D4, 18},             // current loop
+    {0x04D7, 28},             // position loop
+    {0x04DA, 14},             // output of the motor
+    {0x04E0, 12},             // windows of tracking and settling
+    {0x04E3, 12},             // profile
+    {0x04E6, 20},             // joystick
+    {0x04E9, 18},             // settled current loop
+    {0x04F4, 4},              // bow index
+    {0x0500, 0},              // trigger
+});
 }  // namespace
 
 class ThorlabsAptFirmware::Controller {
@@ -86,12 +130,15 @@ class ThorlabsAptFirmware::Controller {
     std::int32_t acceleration = 0;
     std::int32_t velocity = 0;
     std::map<unsigned, std::string> kept;
+    std::optional<Clock::Instant> next_update;  ///< Absent: no status without being asked.
+    unsigned unacknowledged_updates = 0;
   };
   struct Command {
     unsigned id;
     unsigned first;  ///< First parameter of a message without data.
     unsigned second;
     std::string data;
+    std::string bytes;  ///< The whole message.
   };
 
   bool unit() const { return settings_.model.starts_with("K10CR") || settings_.model.starts_with("KDC"); }
@@ -108,6 +155,12 @@ class ThorlabsAptFirmware::Controller {
   bool take_setting(std::size_t k, const Command& command);
   bool take_motion(std::size_t k, const Command& command);
   bool take_kept(std::size_t k, const Command& command);
+  void take_updates(unsigned destination, const Command& command);
+  bool updates_are_due(std::size_t k) const;
+  void send_update(std::size_t k);
+  std::string kept_parameters(std::size_t k, const KeptParameters& parameters) const;
+  std::string kept_parameters(std::size_t k, unsigned set) const;
+  void jog(std::size_t k, unsigned direction);
   void move(std::size_t k, double target_deg);
   void stop(std::size_t k, bool abruptly);
   void send(unsigned id, unsigned source, const std::string& data);
@@ -118,6 +171,7 @@ class ThorlabsAptFirmware::Controller {
   ThorlabsAptSettings settings_;
   UnservedCommands& unserved_;
   std::array<Axis, 2> axes_;
+  bool reports_ends_of_motions_ = true;
   std::string received_;
   Clock::Instant last_byte_;
   ReplyQueue replies_;
@@ -179,11 +233,44 @@ void ThorlabsAptFirmware::Controller::advance() {
       a.homing_until.reset();
       a.motion = Motion::kNone;
       a.homed = true;
-      send_short(0x0444, a.address, 1, 0);
+      if (reports_ends_of_motions_) send_short(0x0444, a.address, 1, 0);
     }
-    if (a.motion == Motion::kNone || a.homing_until || bench_->moving(which, now_)) continue;
-    a.motion = Motion::kNone;
-    send(std::exchange(a.stopping, false) ? 0x0466 : 0x0464, a.address, status(k));
+    if (a.motion != Motion::kNone && !a.homing_until && !bench_->moving(which, now_)) {
+      a.motion = Motion::kNone;
+      const unsigned id = std::exchange(a.stopping, false) ? 0x0466 : 0x0464;
+      if (reports_ends_of_motions_) send(id, a.address, status(k));
+    }
+    while (updates_are_due(k) && *a.next_update <= now_) send_update(k);
+  }
+}
+
+bool ThorlabsAptFirmware::Controller::updates_are_due(std::size_t k) const {
+  return axes_[k].next_update && axes_[k].unacknowledged_updates < kUpdatesWithoutAck;
+}
+
+/// After a pause without "server alive" there is one message, not all those that were left out.
+void ThorlabsAptFirmware::Controller::send_update(std::size_t k) {
+  Axis& a = axes_[k];
+  send(settings_.servo ? 0x0491 : 0x0481, a.address, status(k));
+  *a.next_update += kUpdatePeriod;
+  if (settings_.servo) ++a.unacknowledged_updates;
+}
+
+/// Starts and ends the status messages without being asked, of one axis or of all.
+void ThorlabsAptFirmware::Controller::take_updates(unsigned destination, const Command& command) {
+  for (Axis& a : axes_) {
+    if (a.address == 0 || (destination != kRackAddress && destination != a.address)) continue;
+    a.unacknowledged_updates = 0;
+    switch (command.id) {
+      case 0x0011:
+        a.next_update = now_ + kUpdatePeriod;
+        break;
+      case 0x0012:
+        a.next_update.reset();
+        break;
+      default:  // 0492, "server alive"
+        if (a.next_update) a.next_update = std::max(*a.next_update, now_);
+    }
   }
 }
 
@@ -242,7 +329,7 @@ void ThorlabsAptFirmware::Controller::take_messages() {
     const std::size_t size = kHeader + (has_data ? u16(received_, 2) : 0U);
     if (received_.size() < size) return;
     Command command{u16(received_, 0), u8(received_, 2), u8(received_, 3),
-                    received_.substr(kHeader, size - kHeader)};
+                    received_.substr(kHeader, size - kHeader), received_.substr(0, size)};
     received_.erase(0, size);
     take(destination & 0x7FU, command);
   }
@@ -253,17 +340,22 @@ void ThorlabsAptFirmware::Controller::take(unsigned destination, const Command& 
   const auto axis = std::find_if(axes_.begin(), axes_.end(),
                                  [&](const Axis& a) { return a.address != 0 && a.address == destination; });
   if (!to_rack && axis == axes_.end()) return;  // For another module.
-  constexpr std::array kUnanswered{0x0002U, 0x0011U, 0x0012U, 0x0018U, 0x0223U, 0x0482U, 0x0492U};
-  if (std::find(kUnanswered.begin(), kUnanswered.end(), command.id) != kUnanswered.end()) {
-    if (command.id == 0x0011U) unserved_.note("0011", "updates of the status are not emulated");
+  constexpr std::array kUpdates{0x0011U, 0x0012U, 0x0492U};
+  if (std::find(kUpdates.begin(), kUpdates.end(), command.id) != kUpdates.end())
+    return take_updates(destination, command);
+  if (command.id == 0x046BU || command.id == 0x046CU) {
+    reports_ends_of_motions_ = command.id == 0x046CU;
     return;
   }
+  // Disconnect, flash programming, identify, acknowledgement; settings are kept without being saved (04B9).
+  constexpr std::array kUnanswered{0x0002U, 0x0017U, 0x0018U, 0x0223U, 0x0482U, 0x04B9U};
+  if (std::find(kUnanswered.begin(), kUnanswered.end(), command.id) != kUnanswered.end()) return;
   if (command.id == 0x0005U || command.id == 0x0060U) return take_common(destination, command);
   if (axis != axes_.end()) {
     const auto k = static_cast<std::size_t>(axis - axes_.begin());
     if (take_motion(k, command) || take_setting(k, command) || take_kept(k, command)) return;
   }
-  unserved_.note(fmt::format("{:04X}", command.id), "not emulated: no answer");
+  unserved_.note(fmt::format("{:04X}", command.id), "not emulated: no answer", command.bytes);
 }
 
 void ThorlabsAptFirmware::Controller::take_common(unsigned destination, const Command& command) {
@@ -311,6 +403,12 @@ bool ThorlabsAptFirmware::Controller::take_setting(std::size_t k, const Command&
       send(0x0415, a.address,
            put(1, 2) + put_signed(a.least_velocity) + put_signed(a.acceleration) + put_signed(a.velocity));
       return true;
+    case 0x042B:  // analogue inputs, open: 0 V
+      send(0x042C, a.address, put(0, 4));
+      return true;
+    case 0x0686:  // factory settings
+      a.kept.clear();
+      return true;
     case 0x0429:
       send(0x042A, a.address, put(1, 2) + put(status_bits(k), 4));
       return true;
@@ -342,14 +440,22 @@ bool ThorlabsAptFirmware::Controller::take_motion(std::size_t k, const Command& 
       a.homing_until = now_ + kShortestHoming;
       bench_->move(kStageAxes[k], protocol_angle(k, 0.0), now_);
       return true;
-    case 0x0453:
-      if (c.data.size() == 6) move(k, i32(c.data, 2) / settings_.counts_per_degree);
+    case 0x0453: {  // Without data: to the place that was set before.
+      const std::string to = c.data.empty() ? kept_parameters(k, kSetAbsoluteMove) : c.data;
+      if (to.size() == 6) move(k, i32(to, 2) / settings_.counts_per_degree);
       return true;
-    case 0x0448:
-      if (c.data.size() == 6) move(k, (counts(k) + i32(c.data, 2)) / settings_.counts_per_degree);
+    }
+    case 0x0448: {
+      const std::string by = c.data.empty() ? kept_parameters(k, kSetRelativeMove) : c.data;
+      if (by.size() == 6) move(k, (counts(k) + i32(by, 2)) / settings_.counts_per_degree);
       return true;
-    case 0x0457:  // On and on: as far as a counter goes.
-      move(k, counts(k) / settings_.counts_per_degree + (c.second == 1 ? 3600.0 : -3600.0));
+    }
+    case 0x046A:
+      jog(k, c.second);
+      return true;
+    case 0x0457:
+      move(k, counts(k) / settings_.counts_per_degree +
+                  (c.second == kForward ? kOnAndOnDegrees : -kOnAndOnDegrees));
       a.motion = Motion::kJog;
       return true;
     case 0x0465:
@@ -360,21 +466,63 @@ bool ThorlabsAptFirmware::Controller::take_motion(std::size_t k, const Command& 
   }
 }
 
+/// The value that was set, else that of a new controller [unverified against a device].
+std::string ThorlabsAptFirmware::Controller::kept_parameters(std::size_t k,
+                                                             const KeptParameters& parameters) const {
+  const Axis& a = axes_[k];
+  if (const auto found = a.kept.find(parameters.set); found != a.kept.end()) return found->second;
+  if (parameters.size == 0) return std::string(1, '\0');
+  const std::string channel = put(1, 2);
+  switch (parameters.set) {
+    case kSetJog:
+      return channel + put(kSingleJog, 2) + put_signed(kJogStepDegrees * settings_.counts_per_degree) +
+             put_signed(0) + put_signed(a.acceleration) + put_signed(a.velocity) + put(kProfiledStop, 2);
+    case kSetLimitSwitches: {
+      const unsigned kind = unit() ? kLimitSwitchIgnored : kLimitSwitchMakes;
+      return channel + put(kind, 2) + put(kind, 2) + put(0, 8) + put(kLimitSwitchIgnored, 2);
+    }
+    case kSetHoming:
+      return channel + put(kReverse, 2) + put(kReverseLimitSwitch, 2) + put_signed(a.velocity) +
+             put_signed(0);
+    default:
+      return channel + std::string(parameters.size - 2, '\0');
+  }
+}
+
+std::string ThorlabsAptFirmware::Controller::kept_parameters(std::size_t k, unsigned set) const {
+  return kept_parameters(k, *std::find_if(kKept.begin(), kKept.end(),
+                                          [&](const KeptParameters& each) { return each.set == set; }));
+}
+
 bool ThorlabsAptFirmware::Controller::take_kept(std::size_t k, const Command& c) {
   Axis& a = axes_[k];
   for (const KeptParameters& each : kKept) {
     if (c.id == each.set) {
-      if (c.data.size() == each.size) a.kept[each.set] = c.data;
+      if (each.size == 0 && c.data.empty()) a.kept[each.set] = put(c.second, 1);
+      if (each.size > 0 && c.data.size() == each.size) a.kept[each.set] = c.data;
       return true;
     }
     if (c.id == each.set + 1) {
-      const auto found = a.kept.find(each.set);
-      send(each.set + 2, a.address,
-           found != a.kept.end() ? found->second : put(1, 2) + std::string(each.size - 2, '\0'));
+      const std::string value = kept_parameters(k, each);
+      if (each.size == 0) {
+        send_short(each.set + 2, a.address, 1, u8(value, 0));
+      } else {
+        send(each.set + 2, a.address, value);
+      }
       return true;
     }
   }
   return false;
+}
+
+/// By one step, or on and on, as the parameters of jogging say.
+void ThorlabsAptFirmware::Controller::jog(std::size_t k, unsigned direction) {
+  if (direction != kForward && direction != kReverse) return;
+  const std::string parameters = kept_parameters(k, kSetJog);
+  const double step = u16(parameters, 2) == kContinuousJog ? kOnAndOnDegrees
+                                                           : i32(parameters, 4) / settings_.counts_per_degree;
+  move(k, counts(k) / settings_.counts_per_degree + (direction == kForward ? step : -step));
+  if (axes_[k].motion == Motion::kMove) axes_[k].motion = Motion::kJog;
 }
 
 void ThorlabsAptFirmware::Controller::set_limits(std::size_t k) {
@@ -419,6 +567,7 @@ std::string ThorlabsAptFirmware::Controller::transmit(Clock::Instant now) {
 std::optional<Clock::Instant> ThorlabsAptFirmware::Controller::next_due() const {
   auto due = replies_.next_due();
   for (std::size_t k = 0; k < 2; ++k) {
+    if (updates_are_due(k)) due = due ? std::min(*due, *axes_[k].next_update) : *axes_[k].next_update;
     if (axes_[k].motion == Motion::kNone) continue;
     Clock::Instant end = bench_->motion_end(kStageAxes[k], now_);
     if (end == Clock::Instant::max()) continue;

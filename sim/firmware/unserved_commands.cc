@@ -9,11 +9,12 @@ namespace abcal::sim {
 namespace {
 
 constexpr std::size_t kLongestText = 60;
+constexpr std::size_t kBytesKept = 300;
 
 }  // namespace
 
-void UnservedCommands::note(std::string_view command, std::string_view reaction) {
-  UnservedCommand first;
+void UnservedCommands::note(std::string_view command, std::string_view reaction, std::string_view bytes) {
+  UnservedCommand noted;
   Listener listener;
   {
     const std::lock_guard lock(mutex_);
@@ -24,15 +25,16 @@ void UnservedCommands::note(std::string_view command, std::string_view reaction)
       found = commands_.end() - 1;
       found->command = "others";
     }
-    if (found != commands_.end()) {
-      ++found->count;
-      return;
+    if (found == commands_.end()) {
+      if (bytes.empty()) bytes = command;
+      found = commands_.insert(
+          found, {std::move(text), std::string(bytes.substr(0, kBytesKept)), std::string(reaction), 0});
     }
-    commands_.push_back({std::move(text), std::string(reaction), 1});
-    first = commands_.back();
+    ++found->count;
+    noted = *found;
     listener = listener_;
   }
-  if (listener) listener(first);
+  if (listener) listener(noted);
 }
 
 std::vector<UnservedCommand> UnservedCommands::all() const {
@@ -40,7 +42,7 @@ std::vector<UnservedCommand> UnservedCommands::all() const {
   return commands_;
 }
 
-void UnservedCommands::on_first(Listener listener) {
+void UnservedCommands::on_note(Listener listener) {
   const std::lock_guard lock(mutex_);
   listener_ = std::move(listener);
 }

@@ -125,12 +125,12 @@ using vn::fields_of_group;
 using vn::Part;
 
 struct BinaryOutput {
-  unsigned mode = 0;  ///< Bit 0: serial port 1 (ours), bit 1: serial port 2.
+  unsigned mode = 0;  ///< Bit 0: serial port 1, bit 1: serial port 2.
   unsigned divisor = 1;
   unsigned groups = 0;
   std::vector<std::uint16_t> masks;
 
-  bool on_this_port() const { return (mode & 1U) != 0 && groups != 0; }
+  bool on_port(unsigned port) const { return (mode >> (port - 1U) & 1U) != 0 && groups != 0; }
 
   std::size_t payload_size() const {
     std::size_t size = 0;
@@ -153,12 +153,19 @@ struct BinaryOutput {
   }
 };
 
-/// Settings that VNWNV saves.
-struct Stored {
-  std::string user_tag;
+constexpr unsigned kPorts = 2;
+
+/// Registers 5, 6 and 7.
+struct SerialSettings {
   unsigned baud = 115200;
   unsigned async_type = 0;
   unsigned async_rate_hz = 40;
+};
+
+/// Settings that VNWNV saves.
+struct Stored {
+  std::string user_tag;
+  std::array<SerialSettings, kPorts> serial;
   std::array<BinaryOutput, 3> binary;
   std::array<unsigned, 7> protocol{0, 0, 0, 0, 1, 0, 1};  ///< Register 30.
   std::map<unsigned, std::vector<double>> vectors;        ///< Values of vectornav_registers().
@@ -227,15 +234,19 @@ class VectorNavFirmware::Device {
   void write_binary(BinaryOutput& output, const Words& values);
   void write_numbers(unsigned reg, const Words& values);
   const VectorNavRegister& number_register(unsigned reg) const;
-  std::string values_of(unsigned reg) const;
-  void require_link(const Stored& wanted) const;
+  std::string values_of(unsigned reg, unsigned port) const;
+  unsigned port_of(const Words& words, std::size_t place) const;
+  void require_link(const Stored& wanted, unsigned port) const;
+  const SerialSettings& wired() const { return current_.serial[settings_.serial_port - 1]; }
+  bool on_wired_port(const BinaryOutput& output) const { return output.on_port(settings_.serial_port); }
+  void note_other_port(std::string_view line);
   Stored factory() const;
   void restart();
 
   void stream_from(Clock::Instant t);
   void advance_tick();
-  bool ascii_on() const { return streaming_ && current_.async_type != 0; }
-  unsigned ascii_decimation() const { return kImuRateHz / current_.async_rate_hz; }
+  bool ascii_on() const { return streaming_ && wired().async_type != 0; }
+  unsigned ascii_decimation() const { return kImuRateHz / wired().async_rate_hz; }
   bool streams() const;
 
   struct Sample {
@@ -259,7 +270,7 @@ class VectorNavFirmware::Device {
   SampleGrid grid_;
   Stored current_;
   Stored saved_;
-  bool streaming_ = true;  ///< VNASY.
+  bool streaming_ = true;  ///< VNASY, on the port that is wired.
   std::uint64_t next_tick_ = 0;
   mutable std::optional<Sample> last_sample_;
   std::string input_;
@@ -284,6 +295,9 @@ VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSett
   if (!contains(kBaudRates, settings_.baud))
     throw std::invalid_argument(fmt::format("simulated VectorNav: baud rate {}; required: {}", settings_.baud,
                                             "one from 9600 to 921600 that the maker lists"));
+  if (settings_.serial_port < 1 || settings_.serial_port > kPorts)
+    throw std::invalid_argument(
+        fmt::format("simulated VectorNav: serial port {}; required: 1 or 2", settings_.serial_port));
   if (!contains(kAsyncTypes, settings_.async_type) || !contains(kAsyncRates, settings_.async_rate_hz))
     throw std::invalid_argument(fmt::format("simulated VectorNav: output type {} at {} Hz; it has no such",
                                             settings_.async_type, settings_.async_rate_hz));
@@ -294,9 +308,7 @@ VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSett
 Stored VectorNavFirmware::Device::factory() const {
   Stored stored;
   stored.user_tag = settings_.user_tag;
-  stored.baud = settings_.baud;
-  stored.async_type = settings_.async_type;
-  stored.async_rate_hz = settings_.async_rate_hz;
+  stored.serial.fill({settings_.baud, settings_.async_type, settings_.async_rate_hz});
   for (const VectorNavRegister& reg : vectornav_registers()) stored.vectors[reg.id] = factory_values(reg);
   return stored;
 }
@@ -314,7 +326,7 @@ void VectorNavFirmware::Device::power(bool on, Clock::Instant now) {
   streaming_ = false;
   if (!on) return;
   restart();
-  line_speed_ = current_.baud;
+  line_speed_ = wired().baud;
 }
 
 // Commands.
@@ -354,8 +366,16 @@ void VectorNavFirmware::Device::take_line(std::string_view line) {
       if ((sum.size() != 2 && sum.size() != 4) || found != expected) throw Refusal{kBadChecksum};
     }
     answer = run(split(text));
+    note_other_port(text);
   } catch (const Refusal& refusal) {
     answer = fmt::format("VNERR,{:02X}", static_cast<unsigned>(refusal.code));
+    constexpr std::array kGaps{kBadCommand, kBadRegister, kBadParameter, kInsufficientBaud};
+    if (contains(kGaps, refusal.code))
+      unserved_.note(text,
+                     refusal.code == kInsufficientBaud
+                         ? fmt::format("more output than {} Bd carry: {}", wired().baud, answer)
+                         : "refused: " + answer,
+                     fmt::format("${}\r\n", line));
   }
   replies_.push(sentence(answer, check), now_ + settings_.reply_delay);
 }
@@ -372,7 +392,7 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
     if (words.size() > 3) throw Refusal{kTooManyParameters};  // A third names the port.
     const unsigned on = number(words[1]);
     if (on > 1) throw Refusal{kBadParameter};
-    if (words.size() < 3 || number(words[2]) == 1) {
+    if (port_of(words, 2) == settings_.serial_port) {
       streaming_ = on == 1;
       stream_from(now_);
     }
@@ -414,7 +434,6 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
     restart();
     return "VNRST";
   }
-  unserved_.note(name, "not emulated: VNERR,04");
   throw Refusal{kBadCommand};
 }
 
@@ -423,10 +442,31 @@ std::string VectorNavFirmware::Device::read_register(const Words& words) const {
   const unsigned reg = number(words[1]);
   // Registers 5 to 7 take a port.
   if (words.size() > (reg >= 5 && reg <= 7 ? 3U : 2U)) throw Refusal{kTooManyParameters};
-  return fmt::format("VNRRG,{:02},{}", reg, values_of(reg));
+  return fmt::format("VNRRG,{:02},{}", reg, values_of(reg, port_of(words, 2)));
 }
 
-std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
+/// The port that a command names, else the one on which it came.
+unsigned VectorNavFirmware::Device::port_of(const Words& words, std::size_t place) const {
+  if (words.size() <= place) return settings_.serial_port;
+  const unsigned port = number(words[place]);
+  if (port < 1 || port > kPorts) throw Refusal{kBadParameter};
+  return port;
+}
+
+/// A host that sets outputs on the port that is not wired waits for them in vain.
+void VectorNavFirmware::Device::note_other_port(std::string_view line) {
+  if (!line.starts_with("VNWRG")) return;
+  const unsigned other = kPorts + 1 - settings_.serial_port;
+  const Words words = split(line);
+  const unsigned reg = number(words[1]);
+  const bool ascii = reg == 6 && port_of(words, 3) == other && number(words[2]) != 0;
+  const bool binary = reg >= 75 && reg <= 77 && current_.binary[reg - 75].on_port(other);
+  if (ascii || binary)
+    unserved_.note(line,
+                   fmt::format("accepted; serial port {} is not wired ([emulator] serial_port)", other));
+}
+
+std::string VectorNavFirmware::Device::values_of(unsigned reg, unsigned port) const {
   const std::uint64_t next = grid_.first_after(now_);
   const auto measured = [&](unsigned type) { return async_text(type, sample(next > 0 ? next - 1 : 0)); };
   switch (reg) {
@@ -441,11 +481,11 @@ std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
     case 4:
       return settings_.firmware_version;
     case 5:
-      return fmt::format("{}", current_.baud);
+      return fmt::format("{}", current_.serial[port - 1].baud);
     case 6:
-      return fmt::format("{}", current_.async_type);
+      return fmt::format("{}", current_.serial[port - 1].async_type);
     case 7:
-      return fmt::format("{}", current_.async_rate_hz);
+      return fmt::format("{}", current_.serial[port - 1].async_rate_hz);
     case 8:
       return measured(1);
     case 9:
@@ -496,7 +536,6 @@ const VectorNavRegister& VectorNavFirmware::Device::number_register(unsigned reg
   const VectorNavRegister* found = vectornav_register(reg);
   if (found != nullptr && found->gnss && settings_.model.starts_with("VN-1")) throw Refusal{kBadRegister};
   if (found != nullptr) return *found;
-  unserved_.note(fmt::format("register {}", reg), "not emulated: VNERR,08");
   throw Refusal{kBadRegister};
 }
 
@@ -541,8 +580,8 @@ std::string VectorNavFirmware::Device::write_register(const Words& words) {
 
 void VectorNavFirmware::Device::write_numbers(unsigned reg, const Words& values) {
   if (vectornav_register(reg) == nullptr) {
-    values_of(reg);                 // Unknown altogether: bad register.
-    throw Refusal{kNotAuthorised};  // It can be read only [unverified against a device].
+    values_of(reg, settings_.serial_port);  // Unknown altogether: bad register.
+    throw Refusal{kNotAuthorised};          // It can be read only [unverified against a device].
   }
   const VectorNavRegister& known = number_register(reg);
   if (!known.writable) throw Refusal{kNotAuthorised};
@@ -561,14 +600,11 @@ void VectorNavFirmware::Device::write_serial(unsigned reg, const Words& values) 
                      : reg == 6 ? contains(kAsyncTypes, value)
                                 : contains(kAsyncRates, value);
   if (!known) throw Refusal{kBadParameter};
-  if (values.size() == 2) {
-    const unsigned port = number(values[1]);
-    if (port < 1 || port > 2) throw Refusal{kBadParameter};
-    if (port == 2) return;  // Nothing is connected there.
-  }
+  const unsigned port = port_of(values, 1);
   Stored wanted = current_;
-  (reg == 5 ? wanted.baud : reg == 6 ? wanted.async_type : wanted.async_rate_hz) = value;
-  require_link(wanted);
+  SerialSettings& serial = wanted.serial[port - 1];
+  (reg == 5 ? serial.baud : reg == 6 ? serial.async_type : serial.async_rate_hz) = value;
+  require_link(wanted, port);
   current_ = wanted;
   stream_from(now_);
 }
@@ -594,7 +630,7 @@ void VectorNavFirmware::Device::write_binary(BinaryOutput& output, const Words& 
   }
   const BinaryOutput before = std::exchange(output, wanted);
   try {
-    require_link(current_);
+    for (unsigned port = 1; port <= kPorts; ++port) require_link(current_, port);
   } catch (const Refusal&) {
     output = before;
     throw;
@@ -603,26 +639,28 @@ void VectorNavFirmware::Device::write_binary(BinaryOutput& output, const Words& 
 }
 
 /// Refuses outputs that exceed the capacity of the line.
-void VectorNavFirmware::Device::require_link(const Stored& wanted) const {
+void VectorNavFirmware::Device::require_link(const Stored& wanted, unsigned port) const {
+  const SerialSettings& serial = wanted.serial[port - 1];
   double bytes_per_s = 0.0;
-  if (wanted.async_type != 0) {
+  if (serial.async_type != 0) {
     const Sample typical{};
-    const std::size_t length = async_name(wanted.async_type).size() +
-                               async_text(wanted.async_type, typical).size() +
+    const std::size_t length = async_name(serial.async_type).size() +
+                               async_text(serial.async_type, typical).size() +
                                std::string_view("$,*00\r\n").size();
-    bytes_per_s += static_cast<double>(length) * wanted.async_rate_hz;
+    bytes_per_s += static_cast<double>(length) * serial.async_rate_hz;
   }
   for (const BinaryOutput& output : wanted.binary)
-    if (output.on_this_port())
+    if (output.on_port(port))
       bytes_per_s += static_cast<double>(output.packet_size()) * kImuRateHz / output.divisor;
-  if (bytes_per_s > wanted.baud / 10.0) throw Refusal{kInsufficientBaud};
+  if (bytes_per_s > serial.baud / 10.0) throw Refusal{kInsufficientBaud};
 }
 
 // Output.
 
 bool VectorNavFirmware::Device::streams() const {
-  return ascii_on() || (streaming_ && std::any_of(current_.binary.begin(), current_.binary.end(),
-                                                  [](const BinaryOutput& o) { return o.on_this_port(); }));
+  return ascii_on() ||
+         (streaming_ && std::any_of(current_.binary.begin(), current_.binary.end(),
+                                    [this](const BinaryOutput& o) { return on_wired_port(o); }));
 }
 
 void VectorNavFirmware::Device::stream_from(Clock::Instant t) {
@@ -639,7 +677,7 @@ void VectorNavFirmware::Device::advance_tick() {
   };
   if (ascii_on()) consider(ascii_decimation());
   for (const BinaryOutput& output : current_.binary)
-    if (output.on_this_port()) consider(output.divisor);
+    if (on_wired_port(output)) consider(output.divisor);
   next_tick_ = next;
 }
 
@@ -714,15 +752,15 @@ std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& s
 
 /// Time, angle and velocity of one period.
 std::string VectorNavFirmware::Device::delta_text(const Sample& sample) {
-  constexpr double kPeriod_s = 1.0 / kImuRateHz;
-  const Eigen::Vector3d angle = delta_angle_deg(sample.body, kPeriod_s);
-  const Eigen::Vector3d velocity = sample.acceleration * kPeriod_s;
-  return fmt::format("{:+09.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f}", kPeriod_s,
+  constexpr double kPeriodS = 1.0 / kImuRateHz;
+  const Eigen::Vector3d angle = delta_angle_deg(sample.body, kPeriodS);
+  const Eigen::Vector3d velocity = sample.acceleration * kPeriodS;
+  return fmt::format("{:+09.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f}", kPeriodS,
                      angle[0], angle[1], angle[2], velocity[0], velocity[1], velocity[2]);
 }
 
 std::string VectorNavFirmware::Device::async_sentence(const Sample& sample) const {
-  std::string text = async_name(current_.async_type) + "," + async_text(current_.async_type, sample);
+  std::string text = async_name(wired().async_type) + "," + async_text(wired().async_type, sample);
   // Register 30 appends a count and a status [M: what it counts].
   if (current_.protocol[0] != 0) text += fmt::format(",T{:010}", sample.tick / ascii_decimation());
   if (current_.protocol[1] != 0) text += ",S0000";
@@ -741,7 +779,7 @@ std::string VectorNavFirmware::Device::binary_packet(const BinaryOutput& output,
 }
 
 void VectorNavFirmware::Device::put_part(std::string& packet, const Part& part, const Sample& sample) const {
-  constexpr double kPeriod_s = 1.0 / kImuRateHz;
+  constexpr double kPeriodS = 1.0 / kImuRateHz;
   const BodyMotion& body = sample.body;
   const auto put_vector = [&](const Eigen::Vector3d& v) {
     for (const double value : v) put_float(packet, value);
@@ -770,11 +808,11 @@ void VectorNavFirmware::Device::put_part(std::string& packet, const Part& part, 
     case Content::kRate:
       return put_vector(body.rate_B_radps);
     case Content::kDeltaTime:
-      return put_float(packet, kPeriod_s);
+      return put_float(packet, kPeriodS);
     case Content::kDeltaAngle:
-      return put_vector(delta_angle_deg(body, kPeriod_s));
+      return put_vector(delta_angle_deg(body, kPeriodS));
     case Content::kDeltaVelocity:
-      return put_vector(sample.acceleration * kPeriod_s);
+      return put_vector(sample.acceleration * kPeriodS);
     case Content::kRotationMatrix: {  // Row by row, north, east, down to the body [unverified against a
                                       // device].
       const Eigen::Matrix3d R_BN = body.to_ned().transpose();
@@ -799,13 +837,13 @@ std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
       const Sample made = sample(next_tick_);
       if (ascii_on() && next_tick_ % ascii_decimation() == 0) out += async_sentence(made);
       for (const BinaryOutput& output : current_.binary)
-        if (output.on_this_port() && next_tick_ % output.divisor == 0) out += binary_packet(output, made);
+        if (on_wired_port(output) && next_tick_ % output.divisor == 0) out += binary_packet(output, made);
     }
     advance_tick();
   }
   out += replies_.take(now);
   // The answer to a change of the baud rate goes at the old one.
-  if (!replies_.next_due()) line_speed_ = current_.baud;
+  if (!replies_.next_due()) line_speed_ = wired().baud;
   return out;
 }
 

@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -15,6 +17,31 @@ namespace {
 constexpr Clock::Duration kPartialKept = std::chrono::milliseconds(50);
 constexpr int kBadFunction = 1, kBadAddress = 2, kBadValue = 3;
 constexpr const char* kPartNumber = "F4T1L1EAA1D1AAA";
+
+/// Words of the F4T that stand for states.
+enum F4tWord : std::uint16_t {
+  kAuto = 10,
+  kErrorState = 28,
+  kManual = 54,
+  kNone = 61,
+  kOff = 62,
+  kOn = 63,
+  kOk = 138,
+  kPause = 146,
+  kTerminate = 148,
+  kKeyDown = 1457,
+  kAbsoluteTemperature = 1540,
+};
+constexpr unsigned kModeWanted = 2730, kModeActive = 2814;
+constexpr unsigned kPowerByHand = 2784;
+constexpr unsigned kF4Clock = 1916, kF4tClock = 14664;
+constexpr std::size_t kClockParts = 6;
+constexpr unsigned kAlarms = 8;
+
+/// A controller whose clock nobody has set begins here [unverified against a device].
+constexpr std::chrono::sys_days kFirstDay{std::chrono::year{2000} / 1 / 1};
+/// The heaters give their full power this far from the set point [unverified against a device].
+constexpr double kProportionalBandK = 10.0;
 
 unsigned byte_at(const std::string& bytes, std::size_t at) {
   return static_cast<unsigned char>(bytes.at(at));
@@ -119,7 +146,7 @@ void WatlowF4Firmware::take_rtu_frames(Clock::Instant now) {
     if (length == 0) return;
     if (length == std::string::npos) {
       // Bytes that are perhaps no frame are not answered.
-      unserved().note(fmt::format("function {}", byte_at(received_, 1)), "no answer");
+      unserved().note(fmt::format("function {}", byte_at(received_, 1)), "no answer", received_);
       received_.clear();
       return;
     }
@@ -148,11 +175,12 @@ std::string WatlowF4Firmware::answer_to(const std::string& pdu, Clock::Instant n
   const unsigned function = byte_at(pdu, 0);
   const int code = length == std::string::npos ? kBadFunction : kBadValue;
   unserved().note(fmt::format("function {} in {} bytes", function, pdu.size()),
-                  fmt::format("exception {}", code));
+                  fmt::format("exception {}", code), pdu);
   return {static_cast<char>(function | 0x80U), static_cast<char>(code)};
 }
 
 std::string WatlowF4Firmware::carry_out(const std::string& pdu, Clock::Instant now) {
+  request_ = pdu;
   const unsigned function = byte_at(pdu, 0);
   const auto exception = [&](int code) {
     return std::string{static_cast<char>(function | 0x80U), static_cast<char>(code)};
@@ -176,7 +204,7 @@ std::string WatlowF4Firmware::read(unsigned first, unsigned count, Clock::Instan
   for (unsigned n = 0; n < count; ++n) {
     const Registers value = value_of(first + n, now);
     if (!value) {
-      unserved().note(fmt::format("read register {}", first + n), "exception 2");
+      unserved().note(fmt::format("read register {}", first + n), "exception 2", request_);
       return {};
     }
     words += word(*value);
@@ -200,6 +228,63 @@ double WatlowF4Firmware::degc_of(double shown) const {
   return settings_.fahrenheit ? (shown - 32.0) / 1.8 : shown;
 }
 
+namespace {
+
+using ClockParts = std::array<unsigned, kClockParts>;  // hour, minute, second, month, day, year
+
+ClockParts clock_parts(std::chrono::sys_seconds time) {
+  const auto day = std::chrono::floor<std::chrono::days>(time);
+  const std::chrono::year_month_day date(day);
+  const std::chrono::hh_mm_ss of_day(time - day);
+  return {static_cast<unsigned>(of_day.hours().count()),
+          static_cast<unsigned>(of_day.minutes().count()),
+          static_cast<unsigned>(of_day.seconds().count()),
+          static_cast<unsigned>(date.month()),
+          static_cast<unsigned>(date.day()),
+          static_cast<unsigned>(static_cast<int>(date.year()))};
+}
+
+std::chrono::sys_seconds time_of(const ClockParts& parts) {
+  const std::chrono::year_month_day date{std::chrono::year(static_cast<int>(parts[5])),
+                                         std::chrono::month(parts[3]), std::chrono::day(parts[4])};
+  return std::chrono::sys_days(date) + std::chrono::hours(parts[0]) + std::chrono::minutes(parts[1]) +
+         std::chrono::seconds(parts[2]);
+}
+
+std::chrono::sys_seconds unset_clock(Clock::Instant start, Clock::Instant now) {
+  return kFirstDay + std::chrono::floor<std::chrono::seconds>(now - start);
+}
+
+}  // namespace
+
+std::uint16_t WatlowF4Firmware::clock_part(std::size_t which, Clock::Instant now) const {
+  const auto time = unset_clock(bench_->start(), now) + std::chrono::seconds(state_->clock_ahead_s);
+  return static_cast<std::uint16_t>(clock_parts(time).at(which));
+}
+
+/// The parts of a date are set one after the other: one that does not exist in the meantime (31 February) is
+/// counted on into the next month, as no host reads it before it has set them all.
+int WatlowF4Firmware::set_clock_part(std::size_t which, unsigned value, Clock::Instant now) {
+  constexpr std::array<std::array<unsigned, 2>, kClockParts> kRanges{
+      {{0, 23}, {0, 59}, {0, 59}, {1, 12}, {1, 31}, {1970, 2099}}};
+  if (value < kRanges.at(which)[0] || value > kRanges.at(which)[1]) return kBadValue;
+  const auto without = unset_clock(bench_->start(), now);
+  ClockParts parts = clock_parts(without + std::chrono::seconds(state_->clock_ahead_s));
+  parts.at(which) = value;
+  state_->clock_ahead_s = (time_of(parts) - without).count();
+  return 0;
+}
+
+bool WatlowF4Firmware::controls_air() const {
+  return event_is_on(settings_.run_output) && kept(kModeWanted, kAuto) != kOff;
+}
+
+double WatlowF4Firmware::power_percent(Clock::Instant now) const {
+  if (!controls_air()) return 0.0;
+  const double away = bench_->chamber_set_point(now) - bench_->chamber_air(now);
+  return std::clamp(100.0 * away / kProportionalBandK, -100.0, 100.0);
+}
+
 std::uint16_t WatlowF4Firmware::scaled(double degc) const {
   const double value = std::round(shown(degc) * std::pow(10.0, settings_.decimals));
   return static_cast<std::uint16_t>(static_cast<std::int16_t>(std::clamp(value, -31999.0, 32767.0)));
@@ -220,6 +305,9 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4_value(unsigned address, Clock::
   if (address >= 2000 && address <= 2070 && address % 10 == 0) return kept(address, 0);
   if (address == 201U + 12U * static_cast<unsigned>(settings_.door_input - 1))
     return bench_->fault_at(FaultKind::kChamberDoor, now) ? 1 : 0;
+  if (address >= kF4Clock && address < kF4Clock + kClockParts) return clock_part(address - kF4Clock, now);
+  // Condition at which a digital input is active: closed.
+  if (address >= 1061 && address <= 1067 && address % 2 == 1) return 1;
   switch (address) {
     case 100:
       return scaled(bench_->chamber_air(now));
@@ -227,8 +315,20 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4_value(unsigned address, Clock::
       return bench_->fault_at(FaultKind::kChamberAlarm, now) ? 1 : 0;
     case 104:
       return static_cast<std::uint16_t>(std::lround(10.0 * bench_->chamber_humidity_percent(now)));
+    case 103:  // in 0.01 %
+      return static_cast<std::uint16_t>(
+          static_cast<std::int16_t>(std::lround(100.0 * std::max(0.0, power_percent(now)))));
+    case 107:
+      return static_cast<std::uint16_t>(
+          static_cast<std::int16_t>(std::lround(100.0 * std::min(0.0, power_percent(now)))));
     case 200:
       return 0;
+    case 319:
+      return settings_.second_loop ? kept(319, 0) : absent;
+    case 1218:  // profiles and steps that can still be stored: none is
+      return 40;
+    case 1219:
+      return 256;
     case 300:
       return scaled(state_->set_degc);
     case 602:
@@ -252,21 +352,66 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4_value(unsigned address, Clock::
 }
 
 WatlowF4Firmware::Registers WatlowF4Firmware::f4t_value(unsigned address, Clock::Instant now) const {
+  if (address >= 16 && address < 16 + 15)
+    return static_cast<std::uint16_t>(static_cast<unsigned char>(kPartNumber[address - 16]));
+  if (address >= 1356 && address < 1356 + 100 * kAlarms && (address - 1356) % 100 == 0)
+    return address == 1356 && bench_->fault_at(FaultKind::kChamberAlarm, now) ? kAuto : kNone;
+  for (int n = 1; n <= 8; ++n)
+    if (address == event_register(n)) return kept(address, kOff);
+  if (address >= kF4tClock && address < kF4tClock + 2 * kClockParts)
+    return (address - kF4tClock) % 2 == 0 ? clock_part((address - kF4tClock) / 2, now) : std::uint16_t{0};
+  // Limit cards in slots 1 and 5: state, status, error. Slot 1 watches the door.
+  for (const unsigned slot : {0U, 4U}) {
+    const bool open = slot == 0 && bench_->fault_at(FaultKind::kChamberDoor, now);
+    if (address == 11250 + 60 * slot) return open ? kErrorState : kNone;
+    if (address == 11264 + 60 * slot) return kOk;
+    if (address == 11288 + 60 * slot) return kNone;
+  }
+  // Names of the 40 profiles: none is stored.
+  if (address >= 16886 && address < 16886 + 40 * 40) return 0;
+  if (const Registers value = f4t_loop_value(address, now)) return value;
+  switch (address) {
+    case 90:
+      return kOk;
+    case 1328:
+    case 6730:  // the same for the network and for the serial line
+    case 14080:
+      return settings_.fahrenheit ? 30 : 15;
+    case kModeWanted:
+    case kModeActive:
+      return kept(kModeWanted, kAuto);
+    case kPowerByHand:
+    case kPowerByHand + 1:
+      return kept(address, 0);
+    case 6844:  // key 1
+      return event_is_on(settings_.run_output) ? kOn : kOff;
+    case 16536:
+      return kAbsoluteTemperature;
+    case 16568:  // state of the profile; its number, step and times
+      return kOff;
+    case 16570:
+    case 16571:
+    case 16572:
+    case 16588:
+    case 16590:
+    case 18920:
+      return 0;
+    case 18888:
+      return kept(18888, 1);
+    case 33718:  // the output that says "chamber running"
+      return controls_air() ? kOn : kOff;
+    default:
+      if (address >= 16622 && address < 16622 + 5) return 0;
+      return std::nullopt;
+  }
+}
+
+/// Registers of the control loop and of its inputs.
+WatlowF4Firmware::Registers WatlowF4Firmware::f4t_loop_value(unsigned address, Clock::Instant now) const {
   const auto part_of = [&](unsigned first, double value) -> Registers {
     return static_cast<std::uint16_t>(float_word(value, address != first));
   };
-  if (address >= 16 && address < 16 + 15)
-    return static_cast<std::uint16_t>(static_cast<unsigned char>(kPartNumber[address - 16]));
-  if (address >= 1356 && address <= 1656 && (address - 1356) % 100 == 0)
-    return address == 1356 && bench_->fault_at(FaultKind::kChamberAlarm, now) ? 10 : 61;
-  if (address == 1456 + 1000) return std::nullopt;
-  for (int n = 1; n <= 7; ++n)
-    if (address == event_register(n)) return kept(address, 62);
   switch (address) {
-    case 90:
-      return 138;
-    case 1328:
-      return settings_.fahrenheit ? 30 : 15;
     case 2774:
     case 2775:
       return part_of(2774, shown(settings_.least_set_degc));
@@ -283,6 +428,9 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4t_value(unsigned address, Clock:
     case 2798:
     case 2799:
       return kept(address, static_cast<std::uint16_t>(float_word(1.0, address != 2798)));
+    case 2808:
+    case 2809:
+      return part_of(2808, power_percent(now));
     case 2810:
     case 2811:
       return part_of(
@@ -293,8 +441,6 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4t_value(unsigned address, Clock:
     case 2980:
     case 2981:
       return part_of(2980, bench_->chamber_humidity_percent(now));
-    case 11250:
-      return bench_->fault_at(FaultKind::kChamberDoor, now) ? 28 : 61;
     default:
       return std::nullopt;
   }
@@ -312,11 +458,20 @@ int WatlowF4Firmware::write(unsigned address, const std::string& words, Clock::I
     }
   }
   if (code != 0)
-    unserved().note(fmt::format("write register {}", address), fmt::format("exception {}", code));
+    unserved().note(fmt::format("write register {}", address), fmt::format("exception {}", code), request_);
   return code;
 }
 
 int WatlowF4Firmware::write_f4(unsigned address, std::uint16_t value, Clock::Instant now) {
+  if (address >= kF4Clock && address < kF4Clock + kClockParts)
+    return set_clock_part(address - kF4Clock, value, now);
+  if (address == 319 && settings_.second_loop) {
+    state_->kept[319] = value;
+    return 0;
+  }
+  // Settings are kept without being saved; of the profiles, of which none runs, only the end is served.
+  if (address == 25) return value == 0 ? 0 : kBadValue;
+  if (address == 1217) return value == 1 ? 0 : kBadValue;
   if (address == 300) {
     const double set = degc_of(static_cast<std::int16_t>(value) * std::pow(10.0, -settings_.decimals));
     constexpr double kRounding = 1e-9;
@@ -334,6 +489,11 @@ int WatlowF4Firmware::write_f4(unsigned address, std::uint16_t value, Clock::Ins
 }
 
 int WatlowF4Firmware::write_f4t(unsigned address, const std::string& words, Clock::Instant now) {
+  if (address == kPowerByHand && words.size() == 4) {
+    state_->kept[kPowerByHand] = static_cast<std::uint16_t>(word_at(words, 0));
+    state_->kept[kPowerByHand + 1] = static_cast<std::uint16_t>(word_at(words, 2));
+    return 0;
+  }
   if (address == 2782 || address == 2798) {
     if (words.size() != 4) return kBadValue;
     const std::uint32_t bits = word_at(words, 2) << 16U | word_at(words, 0);  // low word first
@@ -352,13 +512,25 @@ int WatlowF4Firmware::write_f4t(unsigned address, const std::string& words, Cloc
   }
   if (words.size() != 2) return kBadAddress;
   const auto value = static_cast<std::uint16_t>(word_at(words, 0));
-  const bool event = (address >= 16594 && address <= 16600) || (address >= 16822 && address <= 16826);
-  if (event && value != 62 && value != 63) return kBadValue;
+  if (address >= kF4tClock && address < kF4tClock + 2 * kClockParts && (address - kF4tClock) % 2 == 0)
+    return set_clock_part((address - kF4tClock) / 2, value, now);
+  if (address == 6850) {  // Key 1 starts and stops the chamber, at each press.
+    if (value == kKeyDown)
+      state_->kept[event_register(settings_.run_output)] = event_is_on(settings_.run_output) ? kOff : kOn;
+    command(now);
+    return 0;
+  }
+  if (address == 16566) return value == kTerminate || value == kPause ? 0 : kBadValue;
+  if (address == 18888 && (value < 1 || value > 40)) return kBadValue;
+  if (address == kModeWanted && value != kAuto && value != kManual && value != kOff) return kBadValue;
+  const bool event = (address >= 16594 && address <= 16600) || (address >= 16822 && address <= 16828);
+  if (event && value != kOff && value != kOn) return kBadValue;
   if (address == 2794 && value != 62 && value != 85 && value != 88 && value != 13) return kBadValue;
   if (address == 2796 && value != 57 && value != 39) return kBadValue;
-  if (!event && address != 2794 && address != 2796) return kBadAddress;
+  if (!event && address != 2794 && address != 2796 && address != kModeWanted && address != 18888)
+    return kBadAddress;
   state_->kept[address] = value;
-  if (event) command(now);
+  if (event || address == kModeWanted) command(now);
   return 0;
 }
 
@@ -366,7 +538,7 @@ int WatlowF4Firmware::write_f4t(unsigned address, const std::string& words, Cloc
 void WatlowF4Firmware::command(Clock::Instant now) {
   ChamberCommand wanted;
   wanted.target_degc = state_->set_degc;
-  wanted.running = event_is_on(settings_.run_output);
+  wanted.running = controls_air();
   wanted.paused = event_is_on(settings_.pause_output);
   const bool ramps = settings_.f4t && (kept(2794, 62) == 85 || kept(2794, 62) == 13);
   if (ramps) {

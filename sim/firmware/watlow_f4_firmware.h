@@ -13,8 +13,9 @@
 namespace abcal::sim {
 
 struct WatlowF4Settings {
-  bool f4t = true;   ///< False: an F4 (map 2).
-  bool tcp = false;  ///< Modbus TCP frames, else RTU.
+  bool f4t = true;           ///< False: an F4 (map 2).
+  bool second_loop = false;  ///< F4: an F4D, which has a second set point (register 319).
+  bool tcp = false;          ///< Modbus TCP frames, else RTU.
   int address = 1;
   bool fahrenheit = false;  ///< Factory setting of an F4T.
   int decimals = 1;         ///< F4: register 606.
@@ -47,6 +48,7 @@ class WatlowF4Firmware final : public Firmware {
  private:
   struct State {
     double set_degc = 23.0;
+    std::int64_t clock_ahead_s = 0;          ///< Added to the clock that nobody has set.
     std::map<unsigned, std::uint16_t> kept;  ///< Registers that are kept and nothing else.
   };
   using Registers = std::optional<std::uint16_t>;
@@ -64,7 +66,13 @@ class WatlowF4Firmware final : public Firmware {
   Registers value_of(unsigned address, Clock::Instant now) const;
   Registers f4_value(unsigned address, Clock::Instant now) const;
   Registers f4t_value(unsigned address, Clock::Instant now) const;
+  Registers f4t_loop_value(unsigned address, Clock::Instant now) const;
   std::uint16_t kept(unsigned address, std::uint16_t otherwise) const;
+  /// The clock as hour, minute, second, month, day, year; 0 to 5.
+  std::uint16_t clock_part(std::size_t which, Clock::Instant now) const;
+  int set_clock_part(std::size_t which, unsigned value, Clock::Instant now);
+  bool controls_air() const;
+  double power_percent(Clock::Instant now) const;
   double shown(double degc) const;
   double degc_of(double shown) const;
   std::uint16_t scaled(double degc) const;
@@ -77,6 +85,7 @@ class WatlowF4Firmware final : public Firmware {
   std::shared_ptr<State> state_;
   ReplyQueue replies_;
   std::string received_;
+  std::string request_;  ///< The one in hand, from its function on.
   Clock::Instant last_byte_{};
 };
 

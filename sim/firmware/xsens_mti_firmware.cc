@@ -439,7 +439,8 @@ void XsensMtiFirmware::Device::run(unsigned id, std::string_view data) {
         if (data.size() != 2) throw Refusal{kInvalidParameter};
         break;
       default:
-        if (!known_message(id)) unserved_.note(fmt::format("message {:02X}", id), "not emulated: error 04");
+        if (!known_message(id))
+          unserved_.note(fmt::format("message {:02X}", id), "not emulated: error 04", message(id, data));
         // Not valid in the other states [M: says so rather than ignoring it].
         if (state_ != State::kConfig) throw Refusal{kInvalidMessage};
         answer = run_in_config(id, data);

@@ -5,6 +5,7 @@
 
 #include <bit>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -336,7 +337,12 @@ TEST_F(MipFirmwareTest, AnswersTheMakersFilterExampleOfThe7Series) {
   EXPECT_EQ(states.back(), 2U) << "the host waits for this";
 }
 
-TEST_F(MipFirmwareTest, AnAttitudeReferenceHasNoMagnetometer) {
+class MipArTest : public MipFirmwareTest {
+ protected:
+  MipArTest() : MipFirmwareTest({.magnetometer = false}) {}
+};
+
+TEST_F(MipArTest, AnAttitudeReferenceHasNoMagnetometer) {
   const auto answer = ask(0x01, "0204");
   std::vector<std::uint64_t> descriptors;
   for (std::size_t at = 0; at < answer.at(1).data.size(); at += 2)
@@ -419,6 +425,76 @@ TEST_F(MipAhrsTest, AnswersTheMakersFilterExampleOfThe5Series) {
   EXPECT_EQ(big_endian(status.at(1).data, 0, 2), 2U) << "GX5_RUN_SOLUTION_VALID";
   EXPECT_EQ(code(0x0C, "0708 01 01 060001"), 0U) << "it has a magnetometer";
   EXPECT_EQ(code(0x0C, "052B 01 01 01"), 1U) << "of the 7 series";
+}
+
+// The set-up of imu_3dm_gx4, whose sensors and filter stream at 100 Hz.
+void expect_set_up_of_imu_3dm_gx4(MipFirmware& firmware, const std::string& model) {
+  FirmwareHost gx4(firmware);
+  const auto ask_field = [&](unsigned set, const std::string& field_hex) {
+    return fields_of(gx4.exchange(command(set, field_hex)));
+  };
+  for (const std::string field : {"0206", "020B"}) {
+    const auto rate = ask_field(0x0C, field);
+    ASSERT_EQ(rate.size(), 2U) << model << " " << field;
+    EXPECT_EQ(big_endian(rate[1].data, 0, 2), 1000U);
+  }
+  for (const std::string field :
+       {"10 08 01 04 04000A 05000A 06000A 17000A", "10 0A 01 04 03000A 06000A 0A000A 0B000A",
+        "05 11 01 01 01", "05 11 01 03 01"}) {
+    const auto answer = ask_field(0x0C, field);
+    ASSERT_EQ(answer.size(), 1U) << model << " " << field;
+    EXPECT_EQ(to_hex(answer[0].data).substr(2), "00") << model << " " << field;
+  }
+  ask_field(0x01, "0206");
+  std::map<unsigned, std::size_t> sizes;
+  for (const Field& field : fields_of(gx4.listen(milliseconds(30))))
+    sizes[field.set * 256 + field.descriptor] = field.data.size();
+  const std::map<unsigned, std::size_t> expected{{0x8004, 12}, {0x8005, 12}, {0x8006, 12}, {0x8017, 4},
+                                                 {0x8203, 18}, {0x8206, 14}, {0x820A, 14}, {0x820B, 14}};
+  EXPECT_EQ(sizes, expected) << model;
+  EXPECT_TRUE(firmware.unserved().all().empty()) << model;
+}
+
+TEST_F(MipFirmwareTest, ImuGx4SetsUpEveryModelWithAMagnetometer) {
+  expect_set_up_of_imu_3dm_gx4(firmware, "default");
+  MipFirmware gx5(bench, {.model_name = "3DM-GX5-AHRS", .modern_commands = false});
+  expect_set_up_of_imu_3dm_gx4(gx5, "GX5");
+  MipFirmware cv7(bench, {.model_name = "3DM-CV7-AHRS", .legacy_commands = false});
+  expect_set_up_of_imu_3dm_gx4(cv7, "CV7");
+}
+
+TEST_F(MipFirmwareTest, ARefusedDataFieldIsListedWithItsBytes) {
+  EXPECT_EQ(code(0x0C, "07 0A 01 01 99 000A"), 3U);
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 1U);
+  EXPECT_EQ(unserved[0].command, "0C,0A 01 01 99 00 0A");
+  EXPECT_EQ(unserved[0].reaction, "no data field 99: NACK 03");
+  EXPECT_EQ(to_hex(unserved[0].bytes), to_hex(command(0x0C, "07 0A 01 01 99 000A")));
+}
+
+TEST_F(MipAhrsTest, TheFilterOfImuGx4IsSetAndReadBack) {
+  EXPECT_EQ(code(0x0D, "05 41 01 0003"), 0U);
+  EXPECT_EQ(to_hex(ask(0x0D, "03 41 02").at(1).data), "0003");
+  EXPECT_EQ(code(0x0D, "05 14 01 FFFE"), 0U);
+  EXPECT_EQ(to_hex(ask(0x0D, "03 14 02").at(1).data), "FFFE");
+  EXPECT_EQ(code(0x0C, "0F 3A 01 3DCCCCCD 00000000 00000000"), 0U);
+  EXPECT_EQ(to_hex(ask(0x0C, "03 3B 02").at(1).data).substr(0, 8), "3F800000");
+  // Status: model, selector, 0, time since power on, and the counters of the diagnostic form.
+  host.listen(seconds(2));
+  const auto status = ask(0x0C, "05 64 1873 02");
+  ASSERT_EQ(status.size(), 2U);
+  EXPECT_EQ(status[1].descriptor, 0x90U);
+  EXPECT_EQ(status[1].data.size(), 73U);
+  EXPECT_EQ(big_endian(status[1].data, 7, 4) / 1000, 2U) << "ms";
+  EXPECT_EQ(code(0x0C, "05 64 1873 07"), 3U);
+}
+
+TEST_F(MipFirmwareTest, TheOlderPollsNameTheirDataSet) {
+  const auto answer = ask(0x0C, "07 01 00 01 04 0000");
+  ASSERT_EQ(answer.size(), 2U);
+  EXPECT_EQ(answer[1].set, 0x80U);
+  EXPECT_EQ(answer[1].descriptor, 0x04U);
+  EXPECT_EQ(ask(0x0C, "07 03 00 01 05 0000").at(1).set, 0x82U);
 }
 
 TEST_F(MipFirmwareTest, TheStreamSeesTheStageTurn) {

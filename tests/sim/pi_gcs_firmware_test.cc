@@ -335,6 +335,19 @@ TEST_F(PiGcsFirmwareTest, ParametersInMemoryOutlastAReboot) {
   EXPECT_EQ(ask("VEL?"), "1=20.000000 \n2=33.000000\n");
 }
 
+TEST_F(PiGcsFirmwareTest, AnswersForTheJoystickAndTheAxisThatAreAskedFor) {
+  EXPECT_EQ(ask("JON? 2"), "2=0\n");
+  EXPECT_EQ(ask("JON?"), "1=0 \n2=0\n");
+  EXPECT_EQ(command("JON? 3"), "17\n");
+  EXPECT_EQ(command("JON 2 0"), "0\n");
+  EXPECT_EQ(ask("HIN? 2"), "2=0\n");
+  EXPECT_EQ(ask("HIN?"), "1=0 \n2=0\n");
+  EXPECT_EQ(command("HIN 1 0"), "0\n");
+  EXPECT_EQ(command("HIN 1 1"), "34\n") << "no device is connected";
+  EXPECT_EQ(ask("TPC?"), "0\n");
+  EXPECT_TRUE(firmware.unserved().all().empty());
+}
+
 TEST_F(PiGcsFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
   EXPECT_EQ(command("SPA? 1 0x123"), "54\n");
   EXPECT_EQ(command("SPA? 1 0x123"), "54\n");

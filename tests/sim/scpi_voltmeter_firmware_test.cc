@@ -192,6 +192,39 @@ TEST_F(Keysight34401aTest, MeasuresItsOneChannel) {
   EXPECT_EQ(command("ROUT:SCAN (@101)"), "-113,\"Undefined header\"\n");
 }
 
+// The queries of pymeasure's HP34401A on direct voltage.
+TEST_F(Keysight34401aTest, ItsSettingsAreReadBack) {
+  EXPECT_EQ(ask("TRIG:DEL?"), "+0.00000000E+00\n");
+  EXPECT_EQ(command("TRIG:DEL 0.5"), kNoError);
+  EXPECT_EQ(ask("TRIG:DEL?"), "+5.00000000E-01\n");
+  EXPECT_EQ(command("VOLT:RANG 10;NPLC 10"), kNoError);
+  EXPECT_EQ(ask("VOLT:RES?"), "+1.00000000E-05\n");
+  EXPECT_EQ(ask("ROUT:TERM?"), "FRON\n");
+  EXPECT_EQ(ask("DISP?"), "1\n");
+  EXPECT_EQ(command("DISP OFF"), kNoError);
+  EXPECT_EQ(ask("DISP?"), "0\n");
+  EXPECT_EQ(command("DISP:TEXT \"HELLO\""), kNoError);
+  EXPECT_EQ(ask("DISP:TEXT?"), "\"HELLO\"\n");
+  EXPECT_EQ(command("DISP:TEXT:CLE"), kNoError);
+  EXPECT_EQ(ask("DISP:TEXT?"), "\"\"\n");
+  EXPECT_EQ(command("INP:IMP:AUTO 1"), kNoError);
+  EXPECT_EQ(ask("INP:IMP:AUTO?"), "1\n");
+  EXPECT_EQ(command("DET:BAND 200"), kNoError);
+  EXPECT_EQ(ask("DET:BAND?"), "+2.00000000E+02\n");
+  EXPECT_EQ(ask("SYST:BEEP:STAT?"), "1\n");
+  EXPECT_EQ(ask("TRIG:DEL:AUTO?"), "1\n");
+  EXPECT_EQ(command("*RST"), kNoError);
+  EXPECT_EQ(ask("DISP?"), "1\n");
+  EXPECT_TRUE(firmware.unserved().all().empty());
+}
+
+TEST_F(Keysight34401aTest, AFunctionThatItDoesNotSimulateIsListed) {
+  EXPECT_THAT(command("FUNC \"FREQ\""), HasSubstr("-224"));
+  EXPECT_THAT(command("DISP MAYBE"), HasSubstr("-224")) << "refused, yet known";
+  ASSERT_EQ(firmware.unserved().all().size(), 1U);
+  EXPECT_EQ(firmware.unserved().all()[0].command, "FUNC FREQ");
+}
+
 class Keithley2700Test : public ScpiTest {
  protected:
   Keithley2700Test() : ScpiTest({.family = ScpiFamily::kKeithley2700}) {}
@@ -228,6 +261,24 @@ TEST_F(Keithley2700Test, TakesTheLinesOfItsHosts) {
   EXPECT_EQ(command(":ROUTe:OPEN:ALL"), kNone);
   EXPECT_EQ(ask("*OPT?"), "7700,NONE\n");
   EXPECT_EQ(command("SYST:BEEP 500, 0.1"), kNone);
+}
+
+// The queries of pymeasure's Keithley2000 and Keithley2700 on direct voltage.
+TEST_F(Keithley2700Test, ItsSettingsAreReadBack) {
+  EXPECT_EQ(ask(":CONF?"), "\"VOLT:DC\"\n");
+  EXPECT_EQ(ask(":SENS:VOLT:DIG?"), "7\n");
+  EXPECT_EQ(ask(":SENS:VOLT:DIG 5;DIG?"), "5\n");
+  EXPECT_EQ(ask(":SENS:VOLT:REF 0.5;REF?"), "+5.00000000E-01\n");
+  EXPECT_EQ(ask(":TRIG:SEQ:DEL 2;DEL?"), "+2.00000000E+00\n");
+  EXPECT_EQ(ask("ROUT:MULT:CLOS?"), "(@)\n");
+  EXPECT_EQ(ask("ROUT:MULT:CLOS (@102);CLOS?"), "(@102)\n");
+  EXPECT_EQ(ask("ROUT:MULT:STAT? (@101,102)"), "0,1\n");
+  EXPECT_EQ(ask("ROUT:MULT:OPEN (@102);CLOS?"), "(@)\n");
+  EXPECT_EQ(ask("DISP:TEXT:STAT?"), "0\n");
+  EXPECT_EQ(ask(":TRIG:COUN 3;COUN?"), "3\n");
+  EXPECT_EQ(ask(":TRAC:FEED:CONT NEXT;CONT?"), "NEXT\n");
+  EXPECT_EQ(ask("FORM:DATA?"), "ASC\n");
+  EXPECT_TRUE(firmware.unserved().all().empty());
 }
 
 class Keithley2001Test : public ScpiTest {

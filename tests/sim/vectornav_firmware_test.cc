@@ -155,6 +155,8 @@ TEST_F(VectorNavFirmwareTest, RegistersAreReadAndWritten) {
   EXPECT_EQ(ask("VNRRG,00"), "VNRRG,00,bench 2");
   EXPECT_EQ(ask("VNWRG,06,19,2"), "VNWRG,06,19,2");
   EXPECT_EQ(ask("VNRRG,06"), "VNRRG,06,0") << "the other port's";
+  EXPECT_EQ(ask("VNRRG,06,2"), "VNRRG,06,19");
+  EXPECT_EQ(ask("VNRRG,06,3"), "VNERR,07");
   const auto imu = numbers_of(ask("VNRRG,54"));
   ASSERT_EQ(imu.size(), 12U);  // the register's number first
   EXPECT_EQ(imu[4], 0.0);
@@ -343,7 +345,53 @@ TEST_F(VectorNavFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
   ASSERT_EQ(unserved.size(), 2U);
   EXPECT_EQ(unserved[0].command, "VNFWU");
   EXPECT_EQ(unserved[0].count, 2U);
-  EXPECT_EQ(unserved[1].command, "register 99");
+  EXPECT_THAT(unserved[0].bytes, StartsWith("$VNFWU*"));
+  EXPECT_EQ(unserved[1].command, "VNRRG,99");
+  EXPECT_EQ(unserved[1].reaction, "refused: VNERR,08");
+}
+
+TEST_F(VectorNavFirmwareTest, WhatTheOtherPortWouldOutputIsNoted) {
+  EXPECT_EQ(ask("VNWRG,75,2,8,01,0100"), "VNWRG,75,2,8,01,0100");
+  EXPECT_EQ(host.listen(seconds(1)), "");
+  EXPECT_EQ(ask("VNWRG,07,10,2"), "VNWRG,07,10,2");
+  EXPECT_EQ(ask("VNWRG,06,0,2"), "VNWRG,06,0,2");
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 1U);
+  EXPECT_EQ(unserved[0].command, "VNWRG,75,2,8,01,0100");
+  EXPECT_THAT(unserved[0].reaction, HasSubstr("serial port 2 is not wired"));
+}
+
+TEST_F(VectorNavFirmwareTest, OutputThatTheLineCannotCarryIsNoted) {
+  ask("VNWRG,05,9600");
+  EXPECT_EQ(ask("VNWRG,06,19"), "VNERR,0C");
+  ASSERT_EQ(firmware.unserved().all().size(), 1U);
+  EXPECT_EQ(firmware.unserved().all()[0].reaction, "more output than 9600 Bd carry: VNERR,0C");
+}
+
+class VectorNavPort2Test : public VectorNavFirmwareTest {
+ protected:
+  VectorNavPort2Test()
+      : VectorNavFirmwareTest([] {
+          VectorNavSettings settings = quiet();
+          settings.serial_port = 2;
+          return settings;
+        }()) {}
+};
+
+// imu_vn_100 sends the binary output of its readings to serial port 2.
+TEST_F(VectorNavPort2Test, ServesTheOutputsOfSerialPort2) {
+  EXPECT_EQ(ask("VNWRG,75,2,8,01,0100"), "VNWRG,75,2,8,01,0100");
+  const std::string packets = host.listen(seconds(1));
+  EXPECT_EQ(packets.size(), 100U * (4 + 12 + 2));
+  EXPECT_EQ(ask("VNWRG,75,1,8,01,0100"), "VNWRG,75,1,8,01,0100");
+  EXPECT_EQ(host.listen(seconds(1)), "") << "port 1";
+  EXPECT_EQ(ask("VNWRG,06,11"), "VNWRG,06,11");
+  EXPECT_EQ(ask("VNASY,0"), "VNASY,0");
+  EXPECT_EQ(ask("VNRRG,06,2"), "VNRRG,06,11");
+  EXPECT_EQ(ask("VNRRG,06,1"), "VNRRG,06,0");
+  host.send("$VNWRG,05,9600,1*XX\r\n");
+  host.listen(milliseconds(1));
+  EXPECT_EQ(firmware.line_speed(), 115200U);
 }
 
 TEST_F(VectorNavFirmwareTest, ANewBaudRateHoldsFromTheEndOfItsAnswerOn) {

@@ -9,6 +9,8 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include "tests/sim/firmware_host.h"
 
@@ -107,6 +109,112 @@ TEST_F(WatlowF4TcpTest, WithALengthThatNoFrameHasTheInputIsDropped) {
   EXPECT_EQ(host.exchange(request(8)), answer(8));
   const std::string longest = "\x01\x2b"s + std::string(252, '\0');
   EXPECT_EQ(host.exchange(frame(9, 0, '\xfe', longest)), exception(9, '\xab', 1)) << "254 is allowed";
+}
+
+/// Reads and writes registers over Modbus TCP, as ESPEC's library does.
+class WatlowRegisters {
+ public:
+  explicit WatlowRegisters(WatlowF4Settings settings,
+                           std::shared_ptr<SimBench> bench = std::make_shared<SimBench>(BenchTruth{}))
+      : firmware_(std::move(bench), settings), host_(firmware_) {}
+
+  std::vector<int> read(unsigned address, unsigned count = 1) {
+    const std::string answer = ask("\x03"s + word(address) + word(count));
+    std::vector<int> words;
+    for (std::size_t at = 2; static_cast<unsigned char>(answer.at(0)) == 3 && at + 1 < answer.size(); at += 2)
+      words.push_back(static_cast<unsigned char>(answer[at]) * 256 +
+                      static_cast<unsigned char>(answer[at + 1]));
+    return words;
+  }
+  /// The code of the exception; 0: written.
+  int write(unsigned address, std::vector<unsigned> words) {
+    std::string data;
+    for (const unsigned each : words) data += word(each);
+    const std::string answer = ask("\x10"s + word(address) + word(static_cast<unsigned>(words.size())) +
+                                   static_cast<char>(data.size()) + data);
+    return answer.at(0) == '\x10' ? 0 : answer.at(1);
+  }
+  FirmwareHost& host() { return host_; }
+  WatlowF4Firmware& firmware() { return firmware_; }
+
+ private:
+  static std::string word(unsigned value) {
+    return {static_cast<char>(value / 256U), static_cast<char>(value % 256U)};
+  }
+  std::string ask(const std::string& pdu) {
+    return host_.exchange("\0\x01\0\0\0"s + static_cast<char>(pdu.size() + 1) + "\x01"s + pdu).substr(7);
+  }
+  WatlowF4Firmware firmware_;
+  FirmwareHost host_;
+};
+
+WatlowF4Settings f4_over_tcp(bool second_loop = false) {
+  WatlowF4Settings settings = settings_of(true);
+  settings.f4t = false;
+  settings.second_loop = second_loop;
+  return settings;
+}
+
+TEST(WatlowF4RegistersTest, ServesWhatEspecsLibraryReadsOfAnF4t) {
+  WatlowRegisters f4t(settings_of(true));
+  EXPECT_EQ(f4t.read(2784, 2), (std::vector{0, 0})) << "power by hand";
+  EXPECT_EQ(f4t.read(2814), std::vector{10}) << "automatic";
+  EXPECT_EQ(f4t.read(16568), std::vector{62}) << "no profile runs";
+  for (const unsigned slot : {0U, 4U}) {
+    EXPECT_EQ(f4t.read(11250 + 60 * slot), std::vector{61});
+    EXPECT_EQ(f4t.read(11264 + 60 * slot), std::vector{138});
+    EXPECT_EQ(f4t.read(11288 + 60 * slot), std::vector{61});
+  }
+  for (unsigned alarm = 0; alarm < 8; ++alarm) EXPECT_EQ(f4t.read(1356 + 100 * alarm), std::vector{61});
+  EXPECT_EQ(f4t.read(16536), std::vector{1540});
+  EXPECT_EQ(f4t.read(16588), std::vector{0});
+  EXPECT_EQ(f4t.read(16886, 20), std::vector<int>(20, 0));
+  EXPECT_TRUE(f4t.firmware().unserved().all().empty());
+  EXPECT_TRUE(f4t.read(11310).empty()) << "no card in slot 2";
+  EXPECT_EQ(f4t.firmware().unserved().all().size(), 1U);
+}
+
+TEST(WatlowF4RegistersTest, TheClockOfAnF4tGoesOnFromWhereItIsSet) {
+  WatlowRegisters f4t(settings_of(true));
+  const std::vector<unsigned> noon{12, 34, 56, 2, 29, 2024};
+  // In the order in which ESPEC's library writes them, one after the other.
+  for (unsigned part = 0; part < 6; ++part) EXPECT_EQ(f4t.write(14664 + 2 * part, {noon[part]}), 0);
+  f4t.host().listen(std::chrono::seconds(5));
+  const std::vector<int> read = f4t.read(14664, 12);
+  ASSERT_EQ(read.size(), 12U);
+  EXPECT_EQ((std::vector{read[0], read[2], read[4], read[6], read[8], read[10]}),
+            (std::vector{12, 35, 1, 2, 29, 2024}));
+  EXPECT_EQ(f4t.write(14664, {24}), 3);
+}
+
+TEST(WatlowF4RegistersTest, TheClockOfAnF4IsADate) {
+  WatlowRegisters f4(f4_over_tcp());
+  EXPECT_EQ(f4.read(1916, 6), (std::vector{0, 0, 0, 1, 1, 2000}));
+  EXPECT_EQ(f4.write(1916, {23, 59, 59, 12, 31, 2026}), 0);
+  f4.host().listen(std::chrono::seconds(1));
+  EXPECT_EQ(f4.read(1916, 6), (std::vector{0, 0, 0, 1, 1, 2027}));
+}
+
+TEST(WatlowF4RegistersTest, AnF4dHasASecondSetPointAndAnF4sHasNot) {
+  EXPECT_EQ(WatlowRegisters(f4_over_tcp(false)).write(319, {0}), 2);
+  WatlowRegisters f4d(f4_over_tcp(true));
+  EXPECT_EQ(f4d.write(319, {450}), 0);
+  EXPECT_EQ(f4d.read(319), std::vector{450});
+}
+
+TEST(WatlowF4RegistersTest, TheLoopThatIsOffHeatsNoAir) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  WatlowRegisters f4t(settings_of(true), bench);
+  EXPECT_EQ(f4t.write(2782, {0x0000, 0x42A0}), 0);  // 80 degC
+  EXPECT_EQ(f4t.write(6850, {1457}), 0);            // the key that starts it
+  EXPECT_EQ(f4t.read(33718), std::vector{63});
+  EXPECT_TRUE(bench->commanded_chamber().running);
+  EXPECT_EQ(f4t.read(2808, 2), (std::vector{0, 0x42C8})) << "100 %";
+  EXPECT_EQ(f4t.write(2730, {62}), 0);
+  EXPECT_FALSE(bench->commanded_chamber().running);
+  EXPECT_EQ(f4t.read(2814), std::vector{62});
+  EXPECT_EQ(f4t.read(2808, 2), (std::vector{0, 0}));
+  EXPECT_EQ(f4t.write(2730, {7}), 3);
 }
 
 TEST(WatlowF4RtuTest, AnswersAFrameBehindADamagedOne) {
