@@ -290,14 +290,18 @@ void IioAccelerometer::set_rate() {
                                              settings_.rate_hz, rate_hz, advice));
 }
 
-/// If it has none, that of the device itself, as most drivers of the kernel make one.
+/// If it has none, that of the device itself, as most drivers of the kernel make one. A server that refuses
+/// the question knows no triggers: the device samples without one.
 void IioAccelerometer::set_trigger() {
+  constexpr std::int64_t kNoEntry = -2;    // ENOENT of Linux
+  constexpr std::int64_t kNoDevice = -19;  // ENODEV
   const auto current = session_.text(fmt::format("GETTRIG {}", device().id), nullptr, ReplyKind::kName);
-  if (current && !current->empty()) return;
+  if (!current || !current->empty()) return;
   for (const Device& one : context_.devices) {
     if (!one.id.starts_with("trigger") || !one.name.starts_with(device().name + "-dev")) continue;
     const std::string command = fmt::format("SETTRIG {} {}", device().id, one.id);
-    if (const std::int64_t error = session_.number(command); error < 0) session_.refuse(command, error);
+    const std::int64_t error = session_.number(command);
+    if (error < 0 && error != kNoEntry && error != kNoDevice) session_.refuse(command, error);
     return;
   }
 }

@@ -176,20 +176,20 @@ std::string text_of(std::string_view reply) {
 }
 
 std::optional<VersionLine> find_version(std::string_view bytes) {
-  // "0.24." and seven characters of the release.
-  constexpr std::size_t kRelease = 7;
+  // "0.24." and a release, of seven characters if the server is iiod.
+  constexpr std::size_t kLongestRelease = 40;
   for (std::size_t end = bytes.find('\n'); end != std::string_view::npos; end = bytes.find('\n', end + 1)) {
     const std::size_t before = end == 0 ? std::string_view::npos : bytes.rfind('\n', end - 1);
     const std::string_view line = bytes.substr(before == std::string_view::npos ? 0 : before + 1,
                                                end - (before == std::string_view::npos ? 0 : before + 1));
-    if (line.size() < kRelease + 4 || line.size() > kRelease + 9 || line[line.size() - kRelease - 1] != '.')
+    const std::size_t first = line.find('.');
+    if (first == std::string_view::npos) continue;
+    const std::size_t second = line.find('.', first + 1);
+    if (second == std::string_view::npos || !whole_number<std::uint16_t>(line.substr(0, first)) ||
+        !whole_number<std::uint16_t>(line.substr(first + 1, second - first - 1)))
       continue;
-    const std::string_view numbers = line.substr(0, line.size() - kRelease - 1);
-    const std::size_t dot = numbers.find('.');
-    if (dot == std::string_view::npos || !whole_number<std::uint16_t>(numbers.substr(0, dot)) ||
-        !whole_number<std::uint16_t>(numbers.substr(dot + 1)))
-      continue;
-    const std::string_view release = line.substr(line.size() - kRelease);
+    const std::string_view release = line.substr(second + 1);
+    if (release.empty() || release.size() > kLongestRelease) continue;
     if (std::all_of(release.begin(), release.end(), [](char c) { return c >= ' ' && c <= '~'; }))
       return VersionLine{std::string(line), end + 1};
   }

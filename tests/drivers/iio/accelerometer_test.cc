@@ -107,6 +107,27 @@ TEST_F(IioTest, ATriggerIsSetWhereThereIsNone) {
   EXPECT_EQ(ask("GETTRIG iio:device0\r\n"), "14\nadis16485-dev0\n");
 }
 
+class TinyiiodTest : public IioTest {
+ protected:
+  TinyiiodTest()
+      : IioTest([] {
+          sim::IioSettings settings;
+          settings.version = "0.1.v0.1";
+          settings.knows_triggers = false;
+          return settings;
+        }()) {}
+};
+
+// As Analog Devices' emulator iio-emu, on libtinyiiod.
+TEST_F(TinyiiodTest, AServerWithoutTriggersStreams) {
+  auto driver = make();
+  EXPECT_EQ(driver.identify().firmware, "1.2 (iiod 0.1.v0.1)");
+  driver.start();
+  const auto reading = driver.next(clock.now() + 1s);
+  ASSERT_TRUE(reading);
+  EXPECT_NEAR(reading->output.z(), 9.81, 1e-6);
+}
+
 TEST_F(IioTest, TimesSayHowManySamplesAreMissing) {
   auto driver = make();
   driver.start();

@@ -53,10 +53,11 @@ TEST(IioCodecTest, FindsTheVersionBehindOtherBytes) {
   ASSERT_TRUE(version);
   EXPECT_EQ(version->text, "0.26.a1b2c3d");
   EXPECT_EQ(version->end, 20U);
-  for (const char* wrong :
-       {"0.24.v0.24  ", "0.24.v0.24\n", "ESP301 Version 3.04 07/27/01\r\n", "0,24.v0.24  \n", ".24.1234567\n",
-        "0.24.1234\x7f"
-        "67\n"})
+  EXPECT_EQ(find_version("0.1.v0.1\n")->text, "0.1.v0.1") << "libtinyiiod";
+  for (const char* wrong : {"0.24.v0.24  ", "0.24.\n", "0.24\n", "ESP301 Version 3.04 07/27/01\r\n",
+                            "0,24.v0.24  \n", ".24.1234567\n",
+                            "0.24.1234\x7f"
+                            "67\n"})
     EXPECT_FALSE(find_version(wrong)) << wrong;
 }
 
