@@ -47,7 +47,8 @@ constexpr std::array<CommandHelp, 29> kHelp{{
     {"demo", kWithoutBench, "abcal demo\nabcal demo --no-wait --json"},
     {"docs", kWithoutBench, "abcal docs\nabcal docs effects"},
     {"simulate", kWithoutBench, "abcal simulate abc1 --trials 1000000"},
-    {"emulate", kWithoutBench, "abcal emulate bench.toml --link-dir links"},
+    {"emulate", kWithoutBench,
+     "abcal emulate bench.toml --link-dir links\nabcal emulate bench.toml --link-dir links --watch"},
     {"replay", kWithoutBench, "abcal replay sn1234.run"},
     {"record", kWithoutBench, "abcal record --port /dev/ttyUSB0 --serve links/stage -o stage.wire"},
 }};

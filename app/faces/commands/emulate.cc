@@ -31,6 +31,7 @@ struct EmulateCommand {
   double speed = 1.0;
   std::optional<std::uint16_t> control;
   bool follow_stage = false;
+  bool watch = false;
   std::string compare;     ///< Log to compare with; nothing is served then.
   std::string instrument;  ///< Port of the bench that the log is of; may be empty if the bench has one port.
   bool json = false;
@@ -41,8 +42,9 @@ void serve_instruments(const EmulateCommand& command) {
   const BenchConfig config = read_bench(command.bench_file, register_records());
   if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
   const std::stop_token stop = interrupt_token();
-  ServedBench served(command.bench_file, config,
-                     {command.link_dir, command.speed, command.follow_stage, command.control});
+  ServedBench::Options options{command.link_dir, command.speed, command.follow_stage, command.control};
+  if (command.watch) options.watch = [](const std::string& line) { print_result("{}\n", line); };
+  ServedBench served(command.bench_file, config, options);
   for (const ServedBench::Place& place : served.places())
     print_result("{}: {} on {}\n", place.name, place.driver, place.address);
   if (command.follow_stage) print_result("The accelerometer follows the encoders of the stage.\n");
@@ -141,6 +143,9 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
       ->add_flag("--follow-stage", options->follow_stage,
                  "the stage is real: serve only the accelerometer, which follows the encoders of the stage")
       ->excludes(speed);
+  CLI::Option* watch = command->add_flag(
+      "--watch", options->watch,
+      "print each command that an instrument does not carry out, with its bytes, as it comes");
   CLI::Option* compare = command->add_option("--compare", options->compare,
                                              "serve nothing: give the simulated instrument the host's bytes "
                                              "of this file (`abcal record`) and show where "
@@ -148,6 +153,7 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   command->add_option("--instrument", options->instrument, "the port of the bench that the file is of")
       ->needs(compare);
   command->add_flag("--json", options->json, "print the comparison as one JSON object")->needs(compare);
+  watch->excludes(compare);
   command->callback([options, &exit_code] {
     if (!options->compare.empty()) {
       exit_code = compare_with_log(*options) ? kExitDone : kExitFailed;

@@ -97,6 +97,7 @@ struct EnvironmentConfig {
 struct EmulatorConfig {
   std::string line = "real";           ///< Behaviour of pseudo-terminals: "real" or "ideal".
   std::string stage_model;             ///< Empty: the driver's usual one.
+  std::string chamber_model;           ///< Empty: the driver's usual one.
   bool chamber_in_fahrenheit = false;  ///< Factory setting of an F4T.
 
   bool operator==(const EmulatorConfig&) const = default;
@@ -125,6 +126,7 @@ struct BenchItemConfig {
   sim::OutputTruth simulation;      ///< As stated in the bench file; item_truth() gives the simulated truth.
   std::string accelerometer_model;  ///< [emulator]; empty: the driver's usual one.
   std::string at_power_on;          ///< [emulator]: "streaming", "silent", or empty: as the maker ships it.
+  int serial_port = 1;              ///< [emulator]: the port of a VectorNav that is wired, 1 or 2.
   std::string left_out{};           ///< Not in the file: reason why its port is not opened; empty: none.
 
   bool operator==(const BenchItemConfig&) const = default;

@@ -319,9 +319,10 @@ void visit_notify(KeyVisitor& keys, NotifyConfig& notify) {
   keys.text("mail_server", notify.mail_server);
 }
 
-void visit_emulated_accelerometer(KeyVisitor& keys, std::string& model, std::string& at_power_on) {
-  keys.text("accelerometer_model", model);
-  keys.text("at_power_on", at_power_on, {"", "streaming", "silent"});
+void visit_emulated_accelerometer(KeyVisitor& keys, BenchItemConfig& item) {
+  keys.text("accelerometer_model", item.accelerometer_model);
+  keys.text("at_power_on", item.at_power_on, {"", "streaming", "silent"});
+  keys.integer("serial_port", item.serial_port, 1, 2);
 }
 
 /// @param item  as `output` of visit_simulation()
@@ -329,8 +330,9 @@ void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator, BenchItemConfig*
   keys.section("emulator");
   keys.text("line", emulator.line, {"real", "ideal"});
   keys.text("stage_model", emulator.stage_model);
+  keys.text("chamber_model", emulator.chamber_model, {"", "F4S", "F4D"});
   keys.boolean("chamber_in_fahrenheit", emulator.chamber_in_fahrenheit);
-  if (item != nullptr) visit_emulated_accelerometer(keys, item->accelerometer_model, item->at_power_on);
+  if (item != nullptr) visit_emulated_accelerometer(keys, *item);
 }
 
 void visit_list_item(KeyVisitor& keys, BenchItemConfig& item) {
@@ -339,8 +341,7 @@ void visit_list_item(KeyVisitor& keys, BenchItemConfig& item) {
   keys.table("item_uncertainty", [&] { visit_item_effect_sizes(keys, item.tolerances); });
   keys.table("limits", [&] { visit_limits(keys, item.limits); });
   keys.table("simulation", [&] { visit_output_truth(keys, item.simulation); });
-  keys.table("emulator",
-             [&] { visit_emulated_accelerometer(keys, item.accelerometer_model, item.at_power_on); });
+  keys.table("emulator", [&] { visit_emulated_accelerometer(keys, item); });
 }
 
 /// The form [[item]], after the sections whose values are the defaults of every item.

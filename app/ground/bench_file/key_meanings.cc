@@ -269,6 +269,9 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.chamber.dew_point_degc", {"Dew point of the air in the chamber.", ""}},
       {"simulation.chamber.hysteresis_width_degc",
        {"The loop of the thermal hysteresis closes within this change of temperature.", ""}},
+      {"emulator.chamber_model",
+       {"Model of the simulated F4: `F4S` has one loop, `F4D` a second set point (register 319). Empty: F4S.",
+        ""}},
       {"emulator.chamber_in_fahrenheit", {"The simulated chamber has the unit degF, as an F4T is sold.", ""}},
       {"limits.max_lost_fraction",
        {"The run ends if more than this fraction of the readings at one angle is lost.", "1"}},
@@ -489,6 +492,11 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"emulator.at_power_on",
        {"Whether the simulated accelerometer outputs readings as soon as it is switched on: `streaming` or "
         "`silent` (`microstrain_mip`, `vectornav`, `witmotion`). Empty: as its maker ships it.",
+        ""}},
+      {"emulator.serial_port",
+       {"Serial port of the simulated `vectornav` that is wired. Outputs that a program sets on the other "
+        "port "
+        "are reported.",
         ""}},
       {"fault.kind", {"Kind of fault; [emulate](emulate.md#faults) describes each.", ""}},
       {"fault.instrument",

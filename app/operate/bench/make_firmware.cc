@@ -126,6 +126,7 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
                                           }},
                                   Profile{"3DM-GV7-AR", [](sim::MipSettings& s) {
                                             s.model_name = "3DM-GV7-AR";
+                                            s.magnetometer = false;
                                             s.legacy_commands = false;
                                           }}};
   apply_model(settings, item.accelerometer_model, "accelerometer_model", kModels);
@@ -173,6 +174,7 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, con
       Profile{"VN-200", [](sim::VectorNavSettings& s) { s.model = "VN-200T-CR"; }}};
   apply_model(settings, item.accelerometer_model, "accelerometer_model", kModels);
   if (item.at_power_on == "silent") settings.async_type = 0;
+  settings.serial_port = static_cast<unsigned>(item.serial_port);
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
@@ -332,6 +334,7 @@ std::shared_ptr<sim::Firmware> watlow_f4_firmware(const BenchConfig& config, con
                                                   std::shared_ptr<sim::SimBench> world) {
   sim::WatlowF4Settings settings;
   settings.f4t = config.chamber.settings.model != "F4";
+  settings.second_loop = config.emulator.chamber_model == "F4D";
   settings.tcp = has_tcp_frames(port.port);
   settings.address = config.chamber.settings.address;
   settings.fahrenheit = config.emulator.chamber_in_fahrenheit;

@@ -14,6 +14,7 @@
 
 #include "app/ground/bench_file/bench_config.h"
 #include "app/operate/bench/fault_schedule.h"
+#include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
 namespace {
@@ -83,6 +84,7 @@ std::string EmulatorControl::answer(const std::string& line) {
         for (const sim::UnservedCommand& each : commands->all())
           reply["unserved"].push_back({{"instrument", name},
                                        {"command", each.command},
+                                       {"bytes", wire::bytes_in_hex(each.bytes)},
                                        {"reaction", each.reaction},
                                        {"count", each.count}});
     } else if (action == "fault") {

@@ -1,6 +1,9 @@
 #include "app/operate/emulate/served_bench.h"
 
+#include <fmt/format.h>
+
 #include <exception>
+#include <functional>
 #include <map>
 #include <stdexcept>
 #include <thread>
@@ -15,6 +18,7 @@
 #include "app/operate/emulate/control_server.h"
 #include "app/operate/emulate/listening_port.h"
 #include "drivers/wire/port_list.h"
+#include "drivers/wire/readable_bytes.h"
 #include "sim/emulator.h"
 #include "sim/firmware/faulty_port.h"
 #include "sim/followed_stage.h"
@@ -54,13 +58,21 @@ sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links,
   return {served.firmware, sim::PtyLink{links / served.name, line}};
 }
 
-/// Reports each command that an instrument does not carry out when it arrives for the first time.
-EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all) {
+/// Reports commands that an instrument does not carry out: each time to `watch`, else the first time.
+EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all, const Clock& clock,
+                                         const std::function<void(const std::string&)>& watch) {
+  const Clock::Instant start = clock.now();
   EmulatorControl::Unserved unserved;
   for (const Served& served : all) {
-    served.firmware->unserved().on_first([name = served.name](const sim::UnservedCommand& each) {
-      print_log("{}: host asked \"{}\": {}\n", name, each.command, each.reaction);
-    });
+    served.firmware->unserved().on_note(
+        [name = served.name, start, &clock, watch](const sim::UnservedCommand& each) {
+          if (watch) {
+            watch(fmt::format("{:.3f} s {}: \"{}\": {}; bytes {}", to_seconds(clock.now() - start), name,
+                              each.command, each.reaction, wire::bytes_in_hex(each.bytes)));
+          } else if (each.count == 1) {
+            print_log("{}: host asked \"{}\": {}\n", name, each.command, each.reaction);
+          }
+        });
     unserved[served.name] = &served.firmware->unserved();
   }
   return unserved;
@@ -159,7 +171,7 @@ struct ServedBench::Impl {
       links[served.name] = &served.firmware->link();
     }
     emulator.emplace(std::move(endpoints), clock, options.speed);
-    control.emplace(worlds, clock, std::move(links), watch_unserved(all));
+    control.emplace(worlds, clock, std::move(links), watch_unserved(all, clock, options.watch));
     if (options.control) control_server.emplace(*control, *options.control);
   }
 

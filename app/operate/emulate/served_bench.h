@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -19,7 +20,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
 
 /// The simulated instruments of a bench, served to other programs: each on the TCP port that the bench file
 /// names, else on a pseudo-terminal. Commands that an instrument does not carry out are reported on standard
-/// error when they arrive for the first time.
+/// error when they arrive for the first time, or each time to `watch`.
 class ServedBench {
  public:
   struct Options {
@@ -27,6 +28,8 @@ class ServedBench {
     double speed = 1.0;                    ///< Factor by which time passes faster.
     bool follow_stage = false;             ///< The stage is real, and the accelerometer follows its encoders.
     std::optional<std::uint16_t> control{};  ///< Loopback port for faults and changes; 0: any.
+    /// Called with a line for each command that an instrument does not carry out, in the thread that serves.
+    std::function<void(const std::string&)> watch{};
   };
   /// An instrument and its address: the path of its link, or "tcp:HOST:PORT".
   struct Place {
