@@ -66,6 +66,38 @@ def run(arguments, checks):
         checks.step("hardware status", lambda: xps.PositionerHardwareStatusGet(status, "Group1.Pos")[0], 0)
         checks.step("error in words", lambda: xps.ErrorStringGet(status, -22)[1], "Not allowed action")
         checks.step("refusal", lambda: xps.GroupInitialize(status, "Group1")[0], -22)
+        zero = lambda answer: answer[0] == 0
+        checks.step("controller status", lambda: xps.ControllerStatusGet(status)[:2], [0, 0])
+        checks.step("controller status in words", lambda: xps.ControllerStatusStringGet(status, 0)[0], 0)
+        checks.step("list of states", lambda: xps.GroupStatusListGet(status)[1], lambda text: "Moving state" in text)
+        checks.step("windows of a motion", lambda: xps.PositionerMotionDoneGet(status, "Group1.Pos"), zero)
+        checks.step("backlash", lambda: xps.PositionerBacklashGet(status, "Group1.Pos"), zero)
+        checks.step("corrector", lambda: xps.PositionerCorrectorPIDFFVelocityGet(status, "Group1.Pos"), zero)
+        checks.step("times of the motion", lambda: xps.PositionerSGammaPreviousMotionTimesGet(status, "Group1.Pos"), zero)
+        checks.step("following error", lambda: xps.GroupCurrentFollowingErrorGet(status, "Group1", 1), zero)
+        checks.step("global values", lambda: xps.DoubleGlobalArraySet(status, 1, 2.5)[0]
+                    or xps.DoubleGlobalArrayGet(status, 1)[1], 2.5)
+        checks.step("configure gathering", lambda: xps.GatheringConfigurationSet(
+            status, ["Group1.Pos.CurrentPosition", "Group1.Pos.SetpointVelocity"]), zero)
+        checks.step("trigger", lambda: xps.EventExtendedConfigurationTriggerSet(
+            status, ["Group1.Pos.SGamma.MotionStart"], ["0"], ["0"], ["0"], ["0"]), zero)
+        checks.step("action", lambda: xps.EventExtendedConfigurationActionSet(
+            status, ["GatheringRun"], ["100"], ["8"], ["0"], ["0"]), zero)
+        event = xps.EventExtendedStart(status)
+        checks.step("event", lambda: event, zero)
+        checks.step("move with gathering", lambda: xps.GroupMoveRelative(motion, "Group1", [30.0])[0], 0)
+        checks.step("samples", lambda: xps.GatheringCurrentNumberGet(status)[1], 100)
+        checks.step("lines", lambda: len(xps.GatheringDataMultipleLinesGet(status, 0, 100)[1].split("\n")), 100)
+        checks.step("end of the event", lambda: xps.EventExtendedRemove(status, event[1])[0], 0)
+        checks.step("jog mode", lambda: xps.GroupJogModeEnable(status, "Group1")[0], 0)
+        checks.step("jog", lambda: xps.GroupJogParametersSet(status, "Group1", ["5"], ["100"])[0], 0)
+        time.sleep(0.5)
+        checks.step("velocity of jogging", lambda: xps.GroupJogCurrentGet(status, "Group1", 1)[1],
+                    lambda velocity: abs(velocity - 5.0) < 0.1)
+        checks.step("end of jogging", lambda: xps.GroupJogParametersSet(status, "Group1", ["0"], ["100"])[0], 0)
+        time.sleep(0.5)
+        checks.step("end of jog mode", lambda: xps.GroupJogModeDisable(status, "Group1")[0], 0)
+        checks.step("spindles are refused", lambda: xps.GroupSpinParametersSet(status, "Group1", 5, 5)[0], -8)
         checks.step("nothing unknown was asked", lambda: bench.status()["unserved"], [])
         xps.TCP_CloseSocket(status)
         xps.TCP_CloseSocket(motion)
