@@ -174,10 +174,16 @@ class HangTest : public ProgramTest {
     }
   }
 
-  /// Whether X turns through its first circle, which begins below 0 degrees and takes 72 s.
+  /// Whether X turns through its first circle, which begins below 0 degrees and takes 72 s. Homing turns it
+  /// down to 0, from wherever it stands.
   bool is_in_sweep() {
-    const Json x = control->ask({{"do", "status"}}).at("x");
-    return x.at("moving").get<bool>() && x.at("actual_deg").get<double>() > 5.0;
+    const auto angle_deg = [&] {
+      const Json x = control->ask({{"do", "status"}}).at("x");
+      return x.at("moving").get<bool>() ? x.at("actual_deg").get<double>() : 0.0;
+    };
+    const double before_deg = angle_deg();
+    std::this_thread::sleep_for(100ms);
+    return before_deg > 5.0 && angle_deg() > before_deg;
   }
 
   /// Starts a run and waits until the stage turns by the step of the plan (6 s) or through a circle, and a
