@@ -51,6 +51,23 @@ port = "{port}"
 {more}
 """
 
+CHAMBER = """
+[stage]
+driver = "simulated"
+[accelerometer]
+driver = "simulated"
+[chamber]
+driver = "watlow_f4"
+port = "{port}"
+model = "{model}"
+dry_gas = true
+[temperature]
+set_points_degc = [23, 85]
+"""
+
+# The truth of an item that outputs m/s2, its axes along those of the platter.
+IN_MPS2 = "sensitivity_matrix = [[9.8, 0.0, 0.0], [0.0, 9.8, 0.0], [0.0, 0.0, 9.8]]"
+
 
 class Bench:
     """`abcal emulate`, and where its instruments are."""

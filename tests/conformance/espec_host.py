@@ -13,20 +13,6 @@ import types
 
 import emulated
 
-SECTIONS = """
-[stage]
-driver = "simulated"
-[accelerometer]
-driver = "simulated"
-[chamber]
-driver = "watlow_f4"
-port = "{port}"
-model = "{model}"
-dry_gas = true
-[temperature]
-set_points_degc = [23, 85]
-"""
-
 
 def library(arguments, module):
     """The module of the checkout; None if it is not there."""
@@ -69,7 +55,7 @@ def f4t(arguments, checks):
     module = library(arguments, "watlowf4t")
     if module is None:
         return None
-    with emulated.bench(arguments.abcal, SECTIONS.format(port="tcp:127.0.0.1:0", model="F4T")) as bench:
+    with emulated.bench(arguments.abcal, emulated.CHAMBER.format(port="tcp:127.0.0.1:0", model="F4T")) as bench:
         host, port = bench.tcp("chamber")
         controller = checks.step("connect", lambda: module.WatlowF4T(interface="TCP", host=host, loops=1))
         if controller is None:
@@ -93,7 +79,7 @@ def f4(arguments, checks):
     module = library(arguments, "watlowf4")
     if module is None:
         return None
-    with emulated.bench(arguments.abcal, SECTIONS.format(port="pty", model="F4"), 'chamber_model = "F4D"') as bench:
+    with emulated.bench(arguments.abcal, emulated.CHAMBER.format(port="pty", model="F4"), 'chamber_model = "F4D"') as bench:
         controller = checks.step("connect", lambda: module.WatlowF4(
             interface="RTU", serialport=os.path.realpath(bench.ports["chamber"]), baudrate=19200, loops=2, cond_event=1))
         if controller is None:

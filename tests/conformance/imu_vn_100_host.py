@@ -94,7 +94,7 @@ def run(arguments, checks, kind, model):
                         str(root / "src" / "arch" / "linux" / "vncp_services.c"), "-lpthread", "-lrt", "-lm", "-o",
                         "host"], cwd=folder, check=True)
         with emulated.bench(arguments.abcal, sections, model=model,
-                            simulation="sensitivity_matrix = [[9.8,0.0,0.0],[0.0,9.8,0.0],[0.0,0.0,9.8]]") as bench:
+                            simulation=emulated.IN_MPS2) as bench:
             done = subprocess.run([f"{folder}/host", bench.ports["accelerometer"], kind], capture_output=True, text=True,
                                   timeout=60)
             said = dict(line.split(" ", 1) for line in done.stdout.splitlines() if " " in line)

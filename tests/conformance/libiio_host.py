@@ -8,7 +8,6 @@ import subprocess
 
 import emulated
 
-GRAVITY = "sensitivity_matrix = [[9.8, 0.0, 0.0], [0.0, 9.8, 0.0], [0.0, 0.0, 9.8]]"
 DEVICE = "adis16485"
 
 
@@ -18,7 +17,7 @@ def run(arguments, checks):
     said = subprocess.run(["iio_info", "-V"], capture_output=True, text=True, timeout=20)
     version = re.search(r"version: ?([0-9.]+)", said.stdout + said.stderr).group(1)
     sections = emulated.ACCELEROMETER.format(driver="iio", port="tcp:0", more="")
-    with emulated.bench(arguments.abcal, sections, simulation=GRAVITY) as bench:
+    with emulated.bench(arguments.abcal, sections, simulation=emulated.IN_MPS2) as bench:
         host, port = bench.tcp("accelerometer")
         uri = ["-u", f"ip:{host}:{port}"]
 

@@ -7,20 +7,6 @@ import subprocess
 
 import emulated
 
-SECTIONS = """
-[stage]
-driver = "simulated"
-[accelerometer]
-driver = "simulated"
-[chamber]
-driver = "watlow_f4"
-port = "{port}"
-model = "{model}"
-dry_gas = true
-[temperature]
-set_points_degc = [23, 85]
-"""
-
 
 class Master:
     """mbpoll with its options for one controller."""
@@ -50,7 +36,7 @@ def version():
 def run_f4t(arguments, checks):
     if version() is None:
         return None
-    with emulated.bench(arguments.abcal, SECTIONS.format(port="tcp:127.0.0.1:0", model="F4T")) as bench:
+    with emulated.bench(arguments.abcal, emulated.CHAMBER.format(port="tcp:127.0.0.1:0", model="F4T")) as bench:
         host, port = bench.tcp("chamber")
         f4t = Master(host, "-m", "tcp", "-p", str(port))
         checks.step("air", lambda: f4t.value(2820, "4:float"), lambda air: abs(air - 23.0) < 0.1)
@@ -65,7 +51,7 @@ def run_f4t(arguments, checks):
 def run_f4(arguments, checks):
     if version() is None:
         return None
-    with emulated.bench(arguments.abcal, SECTIONS.format(port="chamber", model="F4")) as bench:
+    with emulated.bench(arguments.abcal, emulated.CHAMBER.format(port="chamber", model="F4")) as bench:
         f4 = Master(bench.ports["chamber"], "-m", "rtu", "-b", "19200", "-P", "none")
         checks.step("air", lambda: f4.value(100), 230)
         checks.step("decimals", lambda: f4.value(606), 1)

@@ -68,7 +68,7 @@ def run(arguments, checks):
     version = json.loads((folder / "node_modules" / "node-mavlink" / "package.json").read_text())["version"]
     sections = emulated.ACCELEROMETER.format(driver="mavlink", port="tcp:0", more="")
     with emulated.bench(arguments.abcal, sections,
-                        simulation="sensitivity_matrix = [[9.8,0.0,0.0],[0.0,9.8,0.0],[0.0,0.0,9.8]]") as bench:
+                        simulation=emulated.IN_MPS2) as bench:
         host, port = bench.tcp("accelerometer")
         done = subprocess.run([node, "-e", PROGRAM, "--", host, str(port)], cwd=folder, capture_output=True, text=True,
                               timeout=60)

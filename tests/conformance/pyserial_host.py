@@ -22,7 +22,7 @@ def run(arguments, checks):
 
     sections = emulated.ACCELEROMETER.format(driver="vectornav", port="pty", more="")
     with emulated.bench(arguments.abcal, sections,
-                        simulation="sensitivity_matrix = [[9.8,0.0,0.0],[0.0,9.8,0.0],[0.0,0.0,9.8]]") as bench:
+                        simulation=emulated.IN_MPS2) as bench:
         port = bench.ports["accelerometer"]
         checks.step("wrong speed", lambda: b"VNRRG" in answer(port, 9600), False)
         checks.step("right speed", lambda: answer(port, 115200), lambda text: text.startswith(b"$VNRRG,01,VN-100"))

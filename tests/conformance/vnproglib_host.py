@@ -76,7 +76,7 @@ def run(arguments, checks):
                         *(str(root / "src" / f"{name}.cpp") for name in SOURCES), "-lpthread", "-o", "host"], cwd=folder,
                        check=True)
         with emulated.bench(arguments.abcal, sections,
-                            simulation="sensitivity_matrix = [[9.8,0.0,0.0],[0.0,9.8,0.0],[0.0,0.0,9.8]]") as bench:
+                            simulation=emulated.IN_MPS2) as bench:
             done = subprocess.run([f"{folder}/host", bench.ports["accelerometer"]], capture_output=True, text=True,
                                   timeout=60)
             said = dict(line.split(" ", 1) for line in done.stdout.splitlines() if " " in line)

@@ -7,7 +7,6 @@
 #include <complex>
 #include <cstddef>
 #include <functional>
-#include <limits>
 #include <numbers>
 #include <utility>
 #include <vector>
@@ -22,36 +21,34 @@ Angle turned_angle(const DwellRecord& dwell) {
   return dwell.experiment == 3 ? dwell.commanded_z : dwell.commanded_x;
 }
 
-/// The mean rate of each sweep.
-void find_mean_rates(CollectedReadings& data) {
-  std::vector<std::pair<double, double>> sums(data.sweeps.size());
-  for (const EffectReading& reading : data.readings) {
-    if (reading.sweep < 0) continue;
-    auto& [sum, count] = sums[static_cast<std::size_t>(reading.sweep)];
-    sum += reading.rate_radps;
-    count += 1.0;
-  }
-  for (EffectReading& reading : data.readings) {
-    if (reading.sweep < 0) continue;
-    const auto& [sum, count] = sums[static_cast<std::size_t>(reading.sweep)];
-    reading.mean_rate_radps = sum / count;
+/// Positions of the readings of each sweep, in the order of the readings.
+using Sweeps = std::vector<std::vector<std::size_t>>;
+
+Sweeps sweeps_of(const CollectedReadings& data) {
+  Sweeps sweeps(data.sweeps.size());
+  for (std::size_t n = 0; n < data.readings.size(); ++n)
+    if (const int sweep = data.readings[n].sweep; sweep >= 0)
+      sweeps[static_cast<std::size_t>(sweep)].push_back(n);
+  return sweeps;
+}
+
+void find_mean_rates(CollectedReadings& data, const Sweeps& sweeps) {
+  for (const std::vector<std::size_t>& sweep : sweeps) {
+    double sum = 0.0;
+    for (const std::size_t n : sweep) sum += data.readings[n].rate_radps;
+    for (const std::size_t n : sweep)
+      data.readings[n].mean_rate_radps = sum / static_cast<double>(sweep.size());
   }
 }
 
-void count_from_middle_of_sweeps(CollectedReadings& data) {
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  std::vector<std::pair<double, double>> ends(data.sweeps.size(), {kInfinity, -kInfinity});
-  const auto turned_deg = [&](std::size_t i) { return turned_angle(*data.dwells[i]).deg(); };
-  for (std::size_t i = 0; i < data.readings.size(); ++i) {
-    if (data.readings[i].sweep < 0) continue;
-    auto& [low, high] = ends[static_cast<std::size_t>(data.readings[i].sweep)];
-    low = std::min(low, turned_deg(i));
-    high = std::max(high, turned_deg(i));
-  }
-  for (std::size_t i = 0; i < data.readings.size(); ++i) {
-    if (data.readings[i].sweep < 0) continue;
-    const auto& [low, high] = ends[static_cast<std::size_t>(data.readings[i].sweep)];
-    data.readings[i].turned_rad = Angle::degrees(turned_deg(i) - 0.5 * (low + high)).rad();
+void count_from_middle_of_sweeps(CollectedReadings& data, const Sweeps& sweeps) {
+  const auto turned_deg = [&](std::size_t n) { return turned_angle(*data.dwells[n]).deg(); };
+  for (const std::vector<std::size_t>& sweep : sweeps) {
+    if (sweep.empty()) continue;
+    const auto [low, high] = std::ranges::minmax_element(sweep, {}, turned_deg);
+    const double middle_deg = 0.5 * (turned_deg(*low) + turned_deg(*high));
+    for (const std::size_t n : sweep)
+      data.readings[n].turned_rad = Angle::degrees(turned_deg(n) - middle_deg).rad();
   }
 }
 
@@ -63,21 +60,22 @@ struct SweepSines {
   int count = 0;
 };
 
-std::vector<SweepSines> sines_of(const CollectedReadings& data) {
-  std::vector<SweepSines> sweeps(data.sweeps.size());
-  for (const EffectReading& reading : data.readings) {
-    if (reading.sweep < 0) continue;
-    SweepSines& sweep = sweeps[static_cast<std::size_t>(reading.sweep)];
-    for (std::size_t j = 0; j < 3; ++j)
-      sweep.of_output[j] += reading.value(static_cast<Eigen::Index>(j)) *
-                            std::complex<double>(reading.cos_alpha, -reading.sin_alpha);
-    sweep.rate_radps = reading.mean_rate_radps;
-    sweep.experiment = reading.experiment;
-    ++sweep.count;
+std::vector<SweepSines> sines_of(const CollectedReadings& data, const Sweeps& sweeps) {
+  std::vector<SweepSines> out(sweeps.size());
+  for (std::size_t k = 0; k < sweeps.size(); ++k) {
+    SweepSines& sines = out[k];
+    for (const std::size_t n : sweeps[k]) {
+      const EffectReading& reading = data.readings[n];
+      for (std::size_t j = 0; j < 3; ++j)
+        sines.of_output[j] += reading.value(static_cast<Eigen::Index>(j)) *
+                              std::complex<double>(reading.cos_alpha, -reading.sin_alpha);
+      sines.rate_radps = reading.mean_rate_radps;
+      sines.experiment = reading.experiment;
+      ++sines.count;
+    }
+    for (std::complex<double>& sine : sines.of_output) sine /= std::max(1, sines.count);
   }
-  for (SweepSines& sweep : sweeps)
-    for (std::complex<double>& sine : sweep.of_output) sine /= std::max(1, sweep.count);
-  return sweeps;
+  return out;
 }
 
 /// Calls `with` for each two sweeps of one circle: their difference is free of all that depends on the angle
@@ -167,30 +165,25 @@ Passage passage_before(const std::vector<Passage>& sweep, const Passage& at, dou
 }
 
 /// Turns the readings' angles to those that the item saw, with the rate and the acceleration there.
-void account_for_delays(CollectedReadings& data) {
-  std::vector<std::vector<Passage>> sweeps(data.sweeps.size());
-  const auto passage_of = [&](std::size_t n) {
-    const EffectReading& reading = data.readings[n];
-    return Passage{data.dwells[n]->time_s.value_or(0.0), turned_angle(*data.dwells[n]).rad(),
-                   reading.rate_radps, reading.acceleration_radps2};
-  };
-  for (std::size_t n = 0; n < data.readings.size(); ++n)
-    if (data.readings[n].sweep >= 0)
-      sweeps[static_cast<std::size_t>(data.readings[n].sweep)].push_back(passage_of(n));
-  for (std::vector<Passage>& sweep : sweeps) std::ranges::sort(sweep, {}, &Passage::time_s);
-  for (std::size_t n = 0; n < data.readings.size(); ++n) {
-    EffectReading& reading = data.readings[n];
-    if (reading.sweep < 0) continue;
-    const Passage now = passage_of(n);
-    const Passage seen = passage_before(sweeps[static_cast<std::size_t>(reading.sweep)], now,
-                                        data.delay_s[reading.experiment == 3 ? 1 : 0]);
-    const double behind = now.angle_rad - seen.angle_rad;
-    const double s = std::sin(behind), c = std::cos(behind);
-    const double sin_alpha = reading.sin_alpha * c - reading.cos_alpha * s;
-    reading.cos_alpha = reading.cos_alpha * c + reading.sin_alpha * s;
-    reading.sin_alpha = sin_alpha;
-    reading.rate_radps = seen.rate_radps;
-    reading.acceleration_radps2 = seen.acceleration_radps2;
+void account_for_delays(CollectedReadings& data, const Sweeps& sweeps) {
+  for (const std::vector<std::size_t>& sweep : sweeps) {
+    std::vector<Passage> passed;
+    for (const std::size_t n : sweep)
+      passed.push_back({data.dwells[n]->time_s.value_or(0.0), turned_angle(*data.dwells[n]).rad(),
+                        data.readings[n].rate_radps, data.readings[n].acceleration_radps2});
+    std::vector<Passage> in_time = passed;
+    std::ranges::sort(in_time, {}, &Passage::time_s);
+    for (std::size_t i = 0; i < sweep.size(); ++i) {
+      EffectReading& reading = data.readings[sweep[i]];
+      const Passage seen = passage_before(in_time, passed[i], data.delay_s[reading.experiment == 3 ? 1 : 0]);
+      const double behind = passed[i].angle_rad - seen.angle_rad;
+      const double s = std::sin(behind), c = std::cos(behind);
+      const double sin_alpha = reading.sin_alpha * c - reading.cos_alpha * s;
+      reading.cos_alpha = reading.cos_alpha * c + reading.sin_alpha * s;
+      reading.sin_alpha = sin_alpha;
+      reading.rate_radps = seen.rate_radps;
+      reading.acceleration_radps2 = seen.acceleration_radps2;
+    }
   }
 }
 
@@ -255,17 +248,14 @@ void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& 
 }  // namespace
 
 void account_for_motion(CollectedReadings& data) {
-  if (data.sweeps.empty()) return;
-  count_from_middle_of_sweeps(data);
-  find_mean_rates(data);
-  const std::vector<SweepSines> sines = sines_of(data);
+  const Sweeps sweeps = sweeps_of(data);
+  count_from_middle_of_sweeps(data, sweeps);
+  find_mean_rates(data, sweeps);
+  const std::vector<SweepSines> sines = sines_of(data, sweeps);
   data.delay_s = delays_of(sines);
-  account_for_delays(data);
+  account_for_delays(data, sweeps);
   data.loss = loss_of(sines);
   if (!(data.loss > 0.0)) return;
-  std::vector<std::vector<std::size_t>> sweeps(data.sweeps.size());
-  for (std::size_t n = 0; n < data.readings.size(); ++n)
-    if (data.readings[n].sweep >= 0) sweeps[static_cast<std::size_t>(data.readings[n].sweep)].push_back(n);
   for (const std::vector<std::size_t>& sweep : sweeps) restore_harmonics(data, sweep, data.loss);
 }
 
