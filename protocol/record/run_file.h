@@ -137,6 +137,8 @@ struct StoredReading {
 inline constexpr std::string_view kReconnectedEvent = "reconnected";
 /// The kind of the event that says that the run went on without an item.
 inline constexpr std::string_view kItemDroppedEvent = "item dropped";
+/// The kind of the event that says which person has taken note of the interruption of the run.
+inline constexpr std::string_view kAcknowledgedEvent = "alarm acknowledged";
 /// The kind of the event that says that the system clock was moved.
 inline constexpr std::string_view kClockStepEvent = "clock step";
 

@@ -40,14 +40,27 @@ TEST(RequestTest, ReadsEveryRequestThatDocsNames) {
           .without_missing_items);
   const Jog jog = read<Jog>(R"({"do":"jog","axis":"z","by_deg":-12.5,"confirmed":true})");
   EXPECT_EQ(jog.axis, StageAxis::kZ);
-  EXPECT_EQ(jog.by.deg(), -12.5);
+  EXPECT_EQ(jog.how, Jog::How::kBy);
+  EXPECT_EQ(jog.angle.deg(), -12.5);
+  EXPECT_EQ(read<Jog>(R"({"do":"jog","axis":"x","to_deg":90,"confirmed":true})").how, Jog::How::kTo);
+  const Jog held = read<Jog>(R"({"do":"jog","axis":"x","while_held":"down","confirmed":true})");
+  EXPECT_EQ(held.how, Jog::How::kWhileHeld);
+  EXPECT_LT(held.angle.deg(), 0.0);
+  EXPECT_FALSE(read<KeepTurning>(R"({"do":"keep_turning"})").let_go);
+  EXPECT_TRUE(read<KeepTurning>(R"({"do":"keep_turning","let_go":true})").let_go);
+  read<AskControl>(R"({"do":"control","ask":true})");
+  EXPECT_EQ(read<AnswerControl>(R"({"do":"control","hand_over_to":3})").page, 3);
+  EXPECT_TRUE(read<AnswerControl>(R"({"do":"control","hand_over_to":3})").hand_over);
+  EXPECT_FALSE(read<AnswerControl>(R"({"do":"control","not_to":3})").hand_over);
+  EXPECT_EQ(read<Acknowledge>(R"({"do":"acknowledge","run":"a.run"})").run, "a.run");
   EXPECT_EQ(read<Note>(R"({"do":"note","text":"door opened, 23 °C"})").text, "door opened, 23 °C");
 }
 
 TEST(RequestTest, WhatMovesHardwareNeedsAYes) {
-  for (const char* text : {R"({"do":"start"})", R"({"do":"start","confirmed":false})", R"({"do":"continue"})",
-                           R"({"do":"resume","run":"a.run"})", R"({"do":"jog","axis":"x","by_deg":1})",
-                           R"({"do":"check","with_motion":true})"})
+  for (const char* text :
+       {R"({"do":"start"})", R"({"do":"start","confirmed":false})", R"({"do":"continue"})",
+        R"({"do":"resume","run":"a.run"})", R"({"do":"jog","axis":"x","by_deg":1})",
+        R"({"do":"jog","axis":"x","while_held":"up"})", R"({"do":"check","with_motion":true})"})
     EXPECT_THAT(refusal(text), testing::HasSubstr("confirmed")) << text;
 }
 
@@ -75,6 +88,11 @@ TEST(RequestTest, RefusesWhatIsNotUnderstood) {
                            R"({"do":"jog","axis":"x","by_deg":1e999,"confirmed":true})",
                            R"({"do":"jog","axis":"x","by_deg":null,"confirmed":true})",
                            R"({"do":"jog","axis":"x","by_deg":"10","confirmed":true})",
+                           R"({"do":"jog","axis":"x","by_deg":1,"to_deg":1,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","while_held":"up","by_deg":1,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","while_held":"sideways","confirmed":true})",
+                           R"({"do":"control","hand_over_to":"3"})",
+                           R"({"do":"control","not_to":0})",
                            R"({"do":"note","text":""})",
                            R"({"do":"note","text":"two\nlines"})",
                            "{\"do\":\"note\",\"text\":\"\xff\xfe\"}"})

@@ -81,6 +81,62 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
 }
 
+TEST_F(RunLibraryTest, HandsOutTheAnglesAndTheirReadings) {
+  measure((examples / "simulated.toml").string(), "a.run");
+  open();
+  const Json angles = Json::parse(get("/runs/a.run/angles").body);
+  const StoredRun run = RunFile::load(runs() / "a.run");
+  ASSERT_EQ(angles["position"].size(), run.dwells.size());
+  for (const std::size_t i : {std::size_t{0}, run.dwells.size() - 1}) {
+    EXPECT_EQ(angles["alpha_deg"][i].get<double>(), run.dwells[i].alpha.deg());
+    EXPECT_EQ(angles["mean"][2][i].get<double>(), run.dwells[i].mean[2]);
+    EXPECT_EQ(angles["u_mean"][0][i].get<double>(), run.dwells[i].u_mean.value()[0]);
+  }
+  // All readings of one angle, as they are; their mean is that of the angle.
+  const auto position = angles["position"][20].get<std::size_t>();
+  const Json one =
+      Json::parse(get("/runs/a.run/readings?position=" + std::to_string(position) + "&columns=4000").body);
+  EXPECT_EQ(one["thinned"], false);
+  EXPECT_EQ(one["readings"], angles["readings"][20]);
+  EXPECT_EQ(one["lowest"], one["highest"]);
+  double sum = 0.0;
+  for (const Json& value : one["lowest"][0]) sum += value.get<double>();
+  EXPECT_NEAR(sum / one["readings"].get<double>(), angles["mean"][0][20].get<double>(), 1e-12);
+  // The whole run has no more than the columns ask for.
+  const Json all = Json::parse(get("/runs/a.run/readings?columns=300").body);
+  EXPECT_EQ(all["thinned"], true);
+  EXPECT_LE(all["time_s"].size(), 600U);
+  EXPECT_GE(all["time_s"].size(), run.dwells.size() / 2);
+  for (const char* wrong : {"columns=many", "position=-1", "position=1&angle=2"})
+    EXPECT_EQ(get(std::string("/runs/a.run/readings?") + wrong).status, 404U) << wrong;
+}
+
+TEST_F(RunLibraryTest, FindsSortsAndCountsRunsForOnePage) {
+  measure((examples / "simulated.toml").string(), "b.run");
+  for (const char* copy : {"a", "c", "d"})
+    for (const char* end : {".run", ".run.results"})
+      std::filesystem::copy_file(runs() / (std::string("b") + end), runs() / (std::string(copy) + end));
+  open();
+  const auto page = [&](const std::string& fields) { return Json::parse(get("/runs?" + fields).body); };
+  const auto names = [](const Json& shown) {
+    std::vector<std::string> list;
+    for (const Json& run : shown["runs"]) list.push_back(run["name"]);
+    return list;
+  };
+  using testing::ElementsAre;
+  const Json first = page("sort=name&count=3");
+  EXPECT_EQ(first["all"], 4);
+  EXPECT_EQ(first["found"], 4);
+  EXPECT_THAT(names(first), ElementsAre("a.run", "b.run", "c.run"));
+  EXPECT_THAT(names(page("sort=name&from=3")), ElementsAre("d.run"));
+  EXPECT_THAT(names(page("sort=name&descending=1&count=1")), ElementsAre("d.run"));
+  EXPECT_THAT(names(page("search=C.RUN+complete")), ElementsAre("c.run"));
+  EXPECT_EQ(page("state=interrupted")["found"], 0);
+  EXPECT_EQ(page("from=9")["runs"].size(), 0U);
+  EXPECT_EQ(get("/runs?count=-1").status, 404U);
+  EXPECT_EQ(get("/runs?order=name").status, 404U);
+}
+
 TEST_F(RunLibraryTest, HandsOutEachOfSeveralItems) {
   test::write_file(folder / "tray.toml", test::small_tray());
   measure("tray.toml", "tray.run");
@@ -93,6 +149,8 @@ TEST_F(RunLibraryTest, HandsOutEachOfSeveralItems) {
   EXPECT_EQ(first, result("/items/1"));
   EXPECT_EQ(third["item"], 3);
   EXPECT_EQ(third["run"]["items"].size(), 3U);
+  for (const Json& item : third["run"]["items"]) EXPECT_EQ(item["verdict"], "usable");
+  EXPECT_FALSE(third["dominates"].empty());
   EXPECT_NE(first["results"][0]["offset"], third["results"][0]["offset"]);
   for (const int k : {1, 3}) {
     const std::string item = std::to_string(k);

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/faces/console/interrupted_run.h"
+#include "app/faces/console/other_benches.h"
 #include "app/results/estimates/analyses.h"
 #include "app/results/estimates/result_json.h"
 #include "protocol/record/run_file.h"
@@ -147,6 +148,13 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   const std::optional<InterruptedRun> found = find_interrupted_run(runs());
   ASSERT_TRUE(found);
   EXPECT_EQ(found->words, ended["reason"].get<std::string>());
+  // A person takes note of it; the run says who, and a new interruption is a new one to take note of.
+  EXPECT_EQ(found->acknowledged_by, "");
+  ASSERT_TRUE(page->ok({{"do", "acknowledge"}, {"run", file}}));
+  EXPECT_THAT(find_interrupted_run(runs())->acknowledged_by, HasSubstr("page "));
+  const Json told = page->wait_for_type("acknowledged");
+  EXPECT_EQ(told["interrupted"]["acknowledged_by"], find_interrupted_run(runs())->acknowledged_by);
+  EXPECT_FALSE(page->ok({{"do", "acknowledge"}, {"run", "another.run"}}));
   ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
   const Json began =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning");
@@ -244,6 +252,51 @@ TEST_F(SteeringTest, JogsAnAxisWhenNoRunIsOn) {
   page->wait_for_activity("idle");
   ASSERT_TRUE(page->ok(kStart));
   EXPECT_FALSE(page->ok({{"do", "jog"}, {"axis", "x"}, {"by_deg", 1.0}, {"confirmed", true}}));
+}
+
+TEST_F(SteeringTest, ABenchIsShownAsATileWithoutBeingSteered) {
+  pace = 20.0;
+  options.tile_folders = {runs()};
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  page->wait_for_type("dwell_done");
+  const auto tiles = Json::parse(test::http_get(port, "/benches").body);
+  ASSERT_EQ(tiles["benches"].size(), 1U) << tiles;
+  const Json& tile = tiles["benches"][0];
+  EXPECT_EQ(tile["bench"], "bench");
+  EXPECT_EQ(tile["state"], "answers");
+  EXPECT_EQ(tile["activity"]["activity"], "running");
+  EXPECT_GE(tile["progress"]["measured"], 1);
+  page->wait_for_type("dwell_done");  // It goes on.
+  // A folder without a bench.
+  EXPECT_TRUE(other_benches({folder.path()}, std::chrono::milliseconds(500)).empty());
+}
+
+TEST_F(SteeringTest, TurnsAnAxisAsLongAsAButtonIsHeld) {
+  pace = 1.0;
+  open();
+  auto page = steering_page();
+  const auto told = [&] {
+    return page
+        ->wait_for([](const Json& m) { return m["type"] == "log"; }, "what became of it")["line"]["text"]
+        .get<std::string>();
+  };
+  const Json up = {{"do", "jog"}, {"axis", "x"}, {"while_held", "up"}, {"confirmed", true}};
+  ASSERT_TRUE(page->ok(up));
+  EXPECT_THAT(told(), HasSubstr("axis X is not homed"));
+  page->wait_for_activity("idle");
+  ASSERT_TRUE(page->ok({{"do", "jog"}, {"axis", "x"}, {"to_deg", 10.0}, {"confirmed", true}}));
+  EXPECT_THAT(told(), HasSubstr("Axis X is at 10.00"));
+  page->wait_for_activity("idle");
+  // Without a sign of life it halts by itself; the stage turns for 300 ms.
+  ASSERT_TRUE(page->ok(up));
+  const std::string text = told();
+  EXPECT_THAT(text, HasSubstr("Axis X is at"));
+  const double angle = std::stod(text.substr(text.find("at ") + 3));
+  EXPECT_GT(angle, 11.0);
+  EXPECT_LT(angle, 359.0);
+  page->wait_for_activity("idle");
 }
 
 TEST_F(SteeringTest, EachOfSeveralItemsIsShownAndOneThatFallsSilentIsLeftOut) {

@@ -33,6 +33,10 @@ struct Write {
     return {{"do", "control"}, {"from_another", c.from_another}};
   }
   Json operator()(const ReleaseControl&) const { return {{"do", "control"}, {"release", true}}; }
+  Json operator()(const AskControl&) const { return {{"do", "control"}, {"ask", true}}; }
+  Json operator()(const AnswerControl& c) const {
+    return {{"do", "control"}, {c.hand_over ? "hand_over_to" : "not_to", c.page}};
+  }
   Json operator()(const CheckBench& c) const {
     Json json = {{"do", "check"}, {"with_motion", c.with_motion}};
     if (c.with_motion) json["confirmed"] = true;
@@ -50,12 +54,16 @@ struct Write {
     return {{"do", "resume"}, {"run", r.run}, {"confirmed", true}};
   }
   Json operator()(const Jog& j) const {
-    require(std::abs(j.by.deg()) <= 360.0, "a jog of more than one turn");
-    return {{"do", "jog"},
-            {"axis", j.axis == abcal::StageAxis::kX ? "x" : "z"},
-            {"by_deg", j.by.deg()},
-            {"confirmed", true}};
+    require(std::abs(j.angle.deg()) <= 360.0, "a jog of more than one turn");
+    Json json = {{"do", "jog"}, {"axis", j.axis == abcal::StageAxis::kX ? "x" : "z"}, {"confirmed", true}};
+    if (j.how == Jog::How::kWhileHeld)
+      json["while_held"] = j.angle.deg() > 0.0 ? "up" : "down";
+    else
+      json[j.how == Jog::How::kTo ? "to_deg" : "by_deg"] = j.angle.deg();
+    return json;
   }
+  Json operator()(const KeepTurning& k) const { return {{"do", "keep_turning"}, {"let_go", k.let_go}}; }
+  Json operator()(const Acknowledge& a) const { return {{"do", "acknowledge"}, {"run", a.run}}; }
   Json operator()(const Note& n) const {
     require(!n.text.empty() && n.text.size() <= kLongestNote, "a note too long");
     require(n.text.find('\n') == std::string::npos, "a note of several lines");

@@ -178,6 +178,17 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
                       "further name[:port] by which pages call the console, e.g. behind a proxy");
   command->add_option("--trusted-proxy", options->server.trusted_proxies,
                       "address of a proxy whose Forwarded or X-Forwarded-For is true; repeatable");
+  command
+      ->add_option("--tiles", options->server.tile_folders,
+                   "folder of runs whose benches are shown as tiles on the page; repeatable")
+      ->check(CLI::ExistingDirectory);
+  command
+      ->add_option("--tile-link", options->server.tile_links,
+                   "address (https://...) of a console of another computer, linked beside the tiles")
+      ->check([](const std::string& address) {
+        const bool is_web = address.starts_with("https://") || address.starts_with("http://");
+        return is_web ? std::string() : "an address begins with https:// or http://, found: " + address;
+      });
   command->add_option("--tls-certificate", options->tls_certificate,
                       "certificate of the console, with those up to its authority (PEM)");
   command->add_option("--tls-key", options->tls_key, "its private key (PEM), readable by its owner only");

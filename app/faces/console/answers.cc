@@ -3,13 +3,20 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
 #include <charconv>
+#include <chrono>
+#include <optional>
 #include <utility>
 
+#include "app/faces/console/other_benches.h"
 #include "app/faces/console/silent_connections.h"
 #include "app/faces/console/start_form.h"
 #include "app/faces/console/target.h"
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/system/real_clock.h"
+#include "app/laboratory/compare/chart_report.h"
+#include "app/laboratory/register/register.h"
 #include "app/results/estimates/load_record.h"
 #include "protocol/record/run_file.h"
 
@@ -23,14 +30,35 @@ constexpr std::size_t kMostKept = 16 * 1024 * 1024;
 /// Number of analyses at a time; a bench runs on two processors at least.
 constexpr std::size_t kAnalysts = 2;
 
+/// Columns of pixels of a chart, if the page does not say; a very wide screen.
+constexpr std::size_t kColumns = 1200, kMostColumns = 4000;
+
+/// Rows of a page of the list of runs, at most.
+constexpr std::size_t kMostRows = 500;
+
+/// A bench of a tile answers within this time, or is shown as silent.
+constexpr std::chrono::milliseconds kPatienceWithTile{500};
+
+/// A whole number; nothing: the text is none.
+template <class Number>
+std::optional<Number> parse_number(const std::string& text) {
+  Number number{};
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return number;
+}
+
 /// The number of an item; nothing: the text is no such number.
 std::optional<int> item_of(const std::string& text) {
-  int item = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), item);
-  if (error != std::errc() || end != text.data() + text.size() || item < 1 ||
-      item > static_cast<int>(kMostItems))
-    return std::nullopt;
-  return item;
+  const auto item = parse_number<int>(text);
+  return item && *item >= 1 && *item <= static_cast<int>(kMostItems) ? item : std::nullopt;
+}
+
+/// The fields after "?"; nothing: they cannot be read.
+auto query_of(const HttpRequest& request) {
+  const std::string_view target = view(request.target());
+  const std::size_t query = target.find('?');
+  return parse_form(query == std::string_view::npos ? std::string_view() : target.substr(query + 1));
 }
 
 }  // namespace
@@ -89,7 +117,9 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
     if (order_start_form(asked, later)) return {};
     return refuse(asked, http::status::bad_request, "The fields of the form cannot be read.");
   }
-  if (order_of_library(target->words, later) || order_approval(target->words, asked.visitor, later)) {
+  if (order_list_of_runs(asked, target->words, later) || order_readings(asked, target->words, later) ||
+      order_of_library(target->words, later) || order_check_chart(target->words, later) ||
+      order_benches(target->words, later) || order_approval(target->words, asked.visitor, later)) {
     later.head = head_of(request);
     later.turn.first = asked.visitor.may_steer;
     return {};
@@ -101,10 +131,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
 /// GET /start-form?steps=...&serial_number=...: the run that would be started. @return false: the fields
 /// cannot be read
 bool Answers::order_start_form(const Asked& asked, Slow& later) {
-  const std::string_view target = view(asked.request.target());
-  const std::size_t query = target.find('?');
-  const auto fields =
-      parse_form(query == std::string_view::npos ? std::string_view() : target.substr(query + 1));
+  const auto fields = query_of(asked.request);
   if (!fields) return false;
   later.head = head_of(asked.request);
   later.workshop = &analyses_;
@@ -131,15 +158,10 @@ Workshop::Make Answers::kept(const std::string& what, std::vector<std::filesyste
   };
 }
 
-/// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /runs/NAME/items/K/result and so on,
+/// /runs/NAME/result, /runs/NAME/DOWNLOAD, /runs/NAME/items/K/result and so on,
 /// /compare/NAME/NAME[/shared-stage], /history/SERIAL/PROPERTY
 bool Answers::order_of_library(const std::vector<std::string>& words, Slow& later) {
   later.workshop = &analyses_;
-  if (words == std::vector<std::string>{"runs"}) {
-    later.workshop = &lists_;
-    later.make = [this](const std::stop_token&) { return made_of_json(library_.list()); };
-    return true;
-  }
   if (words.size() == 3 && words[0] == "history") {
     if (!RunLibrary::is_charted(words[2])) return false;
     later.make = [this, serial = words[1], property = words[2]](const std::stop_token&) {
@@ -160,6 +182,100 @@ bool Answers::order_of_library(const std::vector<std::string>& words, Slow& late
   }
   const auto of = find_item(words);
   return of && order_of_run(*of, words.back(), later);
+}
+
+/// /benches: the benches of this computer as tiles, and links to other consoles.
+bool Answers::order_benches(const std::vector<std::string>& words, Slow& later) {
+  if (words != std::vector<std::string>{"benches"}) return false;
+  std::vector<std::filesystem::path> folders = common_.options.tile_folders;
+  if (!folders.empty() && std::ranges::find(folders, runs_) == folders.end()) folders.push_back(runs_);
+  later.workshop = &lists_;
+  later.make = [folders, links = common_.options.tile_links](const std::stop_token&) {
+    return made_of_json(
+        nlohmann::ordered_json{{"benches", other_benches(folders, kPatienceWithTile)}, {"links", links}});
+  };
+  return true;
+}
+
+/// /check-charts: the charts of the register; /check-charts/NAME: one of them (abcal.chart/1); none without
+/// a register. False for other paths.
+bool Answers::order_check_chart(const std::vector<std::string>& words, Slow& later) {
+  if (words.empty() || words.size() > 2 || words[0] != "check-charts") return false;
+  const std::filesystem::path& location = common_.options.register_location;
+  if (location.empty() && words.size() == 2) return false;
+  later.workshop = &analyses_;
+  later.make = [location, name = words.size() == 2 ? words[1] : ""](const std::stop_token&) {
+    if (location.empty()) return made_of_json(nlohmann::ordered_json::array());
+    lab::Register opened = lab::Register::open(location, RealClock().utc_now());
+    if (!name.empty()) return made_of_json(chart_json(shown_chart(opened, name)));
+    nlohmann::ordered_json list = nlohmann::ordered_json::array();
+    for (const lab::CheckStandard& one : opened.check_standards())
+      list.push_back({{"name", one.name}, {"item", one.item}, {"retired", one.retired}});
+    return made_of_json(list);
+  };
+  return true;
+}
+
+/// /runs: the whole list;
+/// /runs?search=...&sort=...&descending=1&state=...&item=...&bench=...&from=...&count=...: a page of it.
+/// False for other paths, and for fields that cannot be read.
+bool Answers::order_list_of_runs(const Asked& asked, const std::vector<std::string>& words, Slow& later) {
+  if (words != std::vector<std::string>{"runs"}) return false;
+  const auto fields = query_of(asked.request);
+  if (!fields) return false;
+  later.workshop = &lists_;
+  if (fields->empty()) {
+    later.make = [this](const std::stop_token&) { return made_of_json(library_.list()); };
+    return true;
+  }
+  RunLibrary::PageAsked page;
+  for (const auto& [key, value] : *fields) {
+    if (key == "search") {
+      page.search = value;
+    } else if (key == "sort") {
+      page.sort = value;
+    } else if (key == "descending") {
+      page.descending = value == "1";
+    } else if (key == "state") {
+      page.state = value;
+    } else if (key == "item") {
+      page.item = value;
+    } else if (key == "bench") {
+      page.bench = value;
+    } else if (key == "from" || key == "count") {
+      const auto number = parse_number<std::size_t>(value);
+      if (!number) return false;
+      if (key == "from") page.from = *number;
+      if (key == "count") page.count = std::min(*number, kMostRows);
+    } else {
+      return false;
+    }
+  }
+  later.make = [this, page](const std::stop_token&) { return made_of_json(library_.page(page)); };
+  return true;
+}
+
+/// /runs/NAME/readings?position=...&columns=... and the same of an item. False for other paths, and for
+/// fields that cannot be read.
+bool Answers::order_readings(const Asked& asked, const std::vector<std::string>& words, Slow& later) {
+  if (words.empty() || words.back() != "readings") return false;
+  const auto of = find_item(words);
+  const auto fields = query_of(asked.request);
+  if (!of || !fields) return false;
+  std::optional<std::size_t> position;
+  std::size_t columns = kColumns;
+  for (const auto& [key, value] : *fields) {
+    const auto number = parse_number<std::size_t>(value);
+    if (!number || (key != "position" && key != "columns")) return false;
+    if (key == "position") position = number;
+    if (key == "columns") columns = std::clamp<std::size_t>(*number, 1, kMostColumns);
+  }
+  later.workshop = &analyses_;
+  later.name = fmt::format("{}?{},{}", fmt::join(words, "/"), position.value_or(-1), columns);
+  later.make = [of = *of, position, columns](const std::stop_token&) {
+    return made_of_json(RunLibrary::readings(of.run, of.item, position, columns));
+  };
+  return true;
 }
 
 std::optional<ItemOfRun> Answers::find_item(const std::string& run, const std::string& item) const {
@@ -183,6 +299,12 @@ bool Answers::order_of_run(const ItemOfRun& of, const std::string& what, Slow& l
   if (what == "result") {
     later.make = kept("result" + of_item, files, [this, of](const std::stop_token&) {
       return *made_of_json(library_.result(of.run, of.item));
+    });
+    return true;
+  }
+  if (what == "angles") {
+    later.make = kept("angles" + of_item, files, [of](const std::stop_token&) {
+      return *made_of_json(RunLibrary::angles(of.run, of.item));
     });
     return true;
   }

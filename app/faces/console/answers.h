@@ -43,6 +43,10 @@ class Answers {
   /// Orders a product of runs. False for other paths.
   bool order_of_library(const std::vector<std::string>& words, Slow& later);
   bool order_of_run(const ItemOfRun& of, const std::string& what, Slow& later);
+  bool order_list_of_runs(const Asked& asked, const std::vector<std::string>& words, Slow& later);
+  bool order_readings(const Asked& asked, const std::vector<std::string>& words, Slow& later);
+  bool order_benches(const std::vector<std::string>& words, Slow& later);
+  bool order_check_chart(const std::vector<std::string>& words, Slow& later);
   bool order_start_form(const Asked& asked, Slow& later);
   /// A maker of a product of these files. The product is cached for the next request.
   Workshop::Make kept(const std::string& what, std::vector<std::filesystem::path> files,

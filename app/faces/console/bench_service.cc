@@ -230,13 +230,21 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
       return impl.session->resume({path->string(), resume.without_missing_items}, by);
     }
     Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog, by); }
+    Session::Refusal operator()(const KeepTurning& sign) const { return impl.session->keep_turning(sign); }
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }
+    Session::Refusal operator()(const Acknowledge& seen) const {
+      const auto path = RunLibrary::find_in(impl.options.bench.runs, seen.run);
+      if (!path) return "there is no such run in the run folder";
+      return impl.session->acknowledge(*path, by);
+    }
     Session::Refusal operator()(const Level&) const { return impl.session->level(by); }
     Session::Refusal operator()(const Probe&) const { return impl.session->probe(); }
     Session::Refusal operator()(const QueueCommand& queue) const { return impl.desk->carry_out(by, queue); }
     Session::Refusal operator()(const Beat&) const { return std::nullopt; }
     Session::Refusal operator()(const TakeControl&) const { return std::nullopt; }
     Session::Refusal operator()(const ReleaseControl&) const { return std::nullopt; }
+    Session::Refusal operator()(const AskControl&) const { return std::nullopt; }
+    Session::Refusal operator()(const AnswerControl&) const { return std::nullopt; }
   };
   return std::visit(Do{*this, by}, command);
 }

@@ -166,14 +166,21 @@ void Control::join(const std::shared_ptr<Page>& page) {
                              {"number", page->number},
                              {"person", visitor.who.name},
                              {"may_steer", visitor.may_steer}})));
+  broadcast(control_message());  // Who watches has changed.
   if (bench_state_ != BenchState::kOn) page->send(shared(bench_message()));
   if (!guard_.message.is_null()) page->send(shared(text_of(guard_.message)));
   send_snapshot(*page);
 }
 
 void Control::leave(Page& page) {
-  if (controller_ == &page) give_control(nullptr);
-  pages_.erase(page.shared_from_this());
+  const std::shared_ptr<Page> left = page.shared_from_this();
+  pages_.erase(left);
+  if (asking_ == &page) asking_ = nullptr;
+  if (controller_ == &page) {
+    give_control(nullptr);
+  } else {
+    broadcast(control_message());
+  }
 }
 
 void Control::send_snapshot(Page& page) {
@@ -218,6 +225,7 @@ void Control::receive(Page& page, std::string_view text) {
 std::optional<std::string> Control::carry_out(Page& page, const Request& request, std::string_view text) {
   if (const auto* take = std::get_if<TakeControl>(&request.command))
     return take_control(page, *take).value_or("");
+  if (std::holds_alternative<AskControl>(request.command)) return ask_control(page).value_or("");
   // Anybody who sees that something goes wrong may stop it, with control or without.
   if (controller_ != &page && !std::holds_alternative<Stop>(request.command))
     return "this page only watches; take control first";
@@ -225,6 +233,8 @@ std::optional<std::string> Control::carry_out(Page& page, const Request& request
     give_control(nullptr);
     return "";
   }
+  if (const auto* answer = std::get_if<AnswerControl>(&request.command))
+    return answer_control(*answer).value_or("");
   const bool is_stop = std::holds_alternative<Stop>(request.command);
   if (is_stop) {
     stop_asked_at_ = common_.clock.now();
@@ -234,6 +244,11 @@ std::optional<std::string> Control::carry_out(Page& page, const Request& request
     if (!bench_->is_on() && !guard_.is_at_rest) return "";
   }
   if (!bench_->is_on()) return "the process that holds the bench is not there";
+  if (std::holds_alternative<KeepTurning>(request.command)) {
+    constexpr std::uint64_t kUnanswered = 0;
+    bench_->request(kUnanswered, page.asker(), request);
+    return std::nullopt;
+  }
   passed_on_[++passed_on_so_far_] = {page.weak_from_this(), static_cast<std::uint64_t>(request.id),
                                      std::string(text), is_stop};
   bench_->request(passed_on_so_far_, page.asker(), request);
@@ -248,7 +263,11 @@ void Control::check_beats() {
 }
 
 std::string Control::control_message() const {
-  Json message = {{"type", "control"}, {"page", nullptr}};
+  Json message = {{"type", "control"}, {"page", nullptr}, {"asks", nullptr}, {"watch", Json::array()}};
+  for (const std::shared_ptr<Page>& page : pages_)
+    message["watch"].push_back({{"page", page->number}, {"who", page->asker().for_people()}});
+  if (asking_ != nullptr)
+    message["asks"] = {{"page", asking_->number}, {"who", asking_->asker().for_people()}};
   if (controller_ != nullptr) {
     message["page"] = controller_->number;
     message["who"] = controller_->asker().for_people();
@@ -260,13 +279,43 @@ std::string Control::control_message() const {
 void Control::give_control(Page* page) {
   controller_ = page;
   controller_silent_ = false;
+  if (page == nullptr || page == asking_) asking_ = nullptr;
   broadcast(control_message());
 }
 
+/// Why this page may not steer; nothing: it may.
+Session::Refusal Control::not_allowed(const Page& page) {
+  if (page.visitor().may_steer) return std::nullopt;
+  return fmt::format("{} may watch and stop, but not steer; required: a person with the right to measure",
+                     page.visitor().who.name.empty() ? "who has the token" : page.visitor().who.name);
+}
+
+Session::Refusal Control::ask_control(Page& page) {
+  if (Session::Refusal refusal = not_allowed(page)) return refusal;
+  if (controller_ == nullptr) return "nobody steers; take control";
+  if (controller_ == &page) return "this page steers already";
+  if (asking_ != nullptr && asking_ != &page)
+    return fmt::format("{} has asked before", asking_->asker().for_people());
+  asking_ = &page;
+  broadcast(control_message());
+  return std::nullopt;
+}
+
+Session::Refusal Control::answer_control(const AnswerControl& answer) {
+  if (asking_ == nullptr || asking_->number != answer.page)
+    return fmt::format("page {} does not ask for control", answer.page);
+  Page* const asking = std::exchange(asking_, nullptr);
+  if (!answer.hand_over) {
+    broadcast(control_message());
+    return std::nullopt;
+  }
+  bench_->control_taken(asking->asker());
+  give_control(asking);
+  return std::nullopt;
+}
+
 Session::Refusal Control::take_control(Page& page, const TakeControl& take) {
-  if (!page.visitor().may_steer)
-    return fmt::format("{} may watch and stop, but not steer; required: a person with the right to measure",
-                       page.visitor().who.name.empty() ? "who has the token" : page.visitor().who.name);
+  if (Session::Refusal refusal = not_allowed(page)) return refusal;
   if (controller_ != nullptr && controller_ != &page && !take.from_another)
     return fmt::format("{} steers; take control from it first", controller_->asker().for_people());
   if (controller_ != &page) bench_->control_taken(page.asker());

@@ -67,6 +67,9 @@ class Control {
   /// @return the reason of a refusal, empty: done; absent: the bench replies to it
   std::optional<std::string> carry_out(Page& page, const Request& request, std::string_view text);
   Session::Refusal take_control(Page& page, const TakeControl& take);
+  static Session::Refusal not_allowed(const Page& page);
+  Session::Refusal ask_control(Page& page);
+  Session::Refusal answer_control(const AnswerControl& answer);
   void give_control(Page* page);
   std::string control_message() const;
   std::string bench_message() const;
@@ -82,6 +85,7 @@ class Control {
   std::set<std::shared_ptr<Page>> pages_;
   Page* controller_ = nullptr;
   bool controller_silent_ = false;
+  Page* asking_ = nullptr;  ///< A page that asks for control.
   std::int64_t pages_so_far_ = 0;
   GuardWatch::Known guard_;                      ///< As the guards told last.
   std::optional<Clock::Instant> stop_asked_at_;  ///< A Stop that neither bench nor guard has confirmed yet.

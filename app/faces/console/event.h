@@ -6,6 +6,7 @@
 #include <variant>
 #include <vector>
 
+#include "app/faces/console/interrupted_run.h"
 #include "app/faces/console/watched.h"
 #include "app/operate/session/bench_check.h"
 #include "app/operate/session/item_check.h"
@@ -60,7 +61,12 @@ struct StateSeen {
   nlohmann::ordered_json contents;
 };
 
+/// A person has taken note of the interruption of the run that can be resumed.
+struct InterruptionAcknowledged {
+  InterruptedRun run;
+};
+
 using Event = std::variant<SessionEvent, ActivitySeen, BenchOpened, StageSeen, StripSeen, LogLine, ChecksSeen,
-                           ItemChecked, HaltSeen, FaultSeen, StateSeen>;
+                           ItemChecked, HaltSeen, FaultSeen, StateSeen, InterruptionAcknowledged>;
 
 }  // namespace abcal::console

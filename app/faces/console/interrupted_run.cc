@@ -65,11 +65,22 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
         describe_interrupted(path->filename().string(), std::move(words), run.header.plan,
                              {run.measured.begin(), run.measured.end()});
     const auto takes_part = [](const ItemProgress& item) { return !item.dropped_at; };
+    for (const RunEvent& event : run.events) {
+      const bool is_new = event.kind == to_string(RunState::kInterrupted);
+      if (!is_new && event.kind != kAcknowledgedEvent) continue;
+      interrupted.acknowledged_by = is_new ? "" : event.text;
+      interrupted.acknowledged_utc = is_new ? "" : event.utc;
+    }
     interrupted.items = static_cast<std::size_t>(std::ranges::count_if(run.items, takes_part));
     return interrupted;
   } catch (const RunFileError&) {
     return std::nullopt;  // The list of runs says why it cannot be read.
   }
+}
+
+void acknowledge_interrupted_run(const std::filesystem::path& run, const std::string& utc,
+                                 const std::string& who) {
+  RunFile::open_for_append(run).append_event(utc, kAcknowledgedEvent, who);
 }
 
 }  // namespace abcal::console

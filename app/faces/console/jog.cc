@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/experiment_run.h"
@@ -15,24 +17,29 @@ struct JoggedStage {
   RotationStage& stage;
   Clock& clock;
   const ProtocolConfig& protocol;
-  const std::stop_token& stop;
+  const JogEnd& end;
 
   StageAxisInfo info(StageAxis axis) const { return stage.identify().axes[index(axis)]; }
   void wait_until_stopped(StageAxis axis, double longest_s) const;
   void home_if_needed(StageAxis axis) const;
   Angle turn(const Jog& jog) const;
+  Angle turn_while_held(const Jog& jog) const;
 };
+
+/// The button was let go while the axis turned.
+struct LetGo {};
 
 void JoggedStage::wait_until_stopped(StageAxis axis, double longest_s) const {
   const Clock::Instant deadline = clock.now() + from_seconds(longest_s);
   while (stage.motion_state(axis) == MotionState::kMoving) {
-    if (stop.stop_requested()) throw RunInterrupted("stopped by the operator");
+    if (end.stop.stop_requested()) throw RunInterrupted("stopped by the operator");
+    if (end.let_go.stop_requested()) throw LetGo();
     if (clock.now() > deadline)
       throw InstrumentError("stage", Fault::kStalled,
                             fmt::format("axis {} still moves after {:.0f} s", to_string(axis), longest_s));
     clock.sleep_until(clock.now() + from_seconds(protocol.poll_interval_s));
   }
-  if (stop.stop_requested()) throw RunInterrupted("stopped by the operator");
+  if (end.stop.stop_requested()) throw RunInterrupted("stopped by the operator");
 }
 
 void JoggedStage::home_if_needed(StageAxis axis) const {
@@ -44,12 +51,47 @@ void JoggedStage::home_if_needed(StageAxis axis) const {
                           fmt::format("axis {} stopped without finding its reference", to_string(axis)));
 }
 
+/// Turns towards the end of the travel until the button is let go; then the axis is halted, and its
+/// controller is asked until it says that the axis stands.
+Angle JoggedStage::turn_while_held(const Jog& jog) const {
+  const StageAxisInfo axis = info(jog.axis);
+  if (!axis.referenced)
+    throw std::invalid_argument(
+        fmt::format("axis {} is not homed: turn it by an angle first, which homes it", to_string(jog.axis)));
+  const Angle from = stage.encoder_angle(jog.axis);
+  const double target_deg =
+      std::clamp((from + jog.angle).deg(), axis.travel_min.deg(), axis.travel_max.deg());
+  const double speed = axis.speed_deg_per_s;
+  const double expected_s = speed > 0.0 ? std::abs(target_deg - from.deg()) / speed : 0.0;
+  try {
+    if (end.let_go.stop_requested()) throw LetGo();
+    stage.move_to(jog.axis, Angle::degrees(target_deg));
+    wait_until_stopped(jog.axis, expected_s + protocol.motion_timeout_s);
+  } catch (const InstrumentError&) {
+    // The halt from the watcher's thread makes an exchange under way fail.
+    if (!end.let_go.stop_requested() || end.stop.stop_requested()) throw;
+  } catch (const LetGo&) {
+  }
+  if (end.let_go.stop_requested()) {
+    if (!stage.halt())
+      throw InstrumentError(
+          "stage", Fault::kNoReply,
+          "the button was let go, and the stage did not acknowledge the halt: stop it by its "
+          "own switch");
+    const JogEnd halted{end.stop};
+    JoggedStage{stage, clock, protocol, halted}.wait_until_stopped(jog.axis, protocol.motion_timeout_s);
+  }
+  return stage.encoder_angle(jog.axis);
+}
+
 Angle JoggedStage::turn(const Jog& jog) const {
+  if (jog.how == Jog::How::kWhileHeld) return turn_while_held(jog);
   home_if_needed(jog.axis);
   const double speed = info(jog.axis).speed_deg_per_s;
-  const Angle target = stage.encoder_angle(jog.axis) + jog.by;
+  const Angle from = stage.encoder_angle(jog.axis);
+  const Angle target = jog.how == Jog::How::kTo ? jog.angle : from + jog.angle;
   stage.move_to(jog.axis, target);
-  const double expected_s = speed > 0.0 ? std::abs(jog.by.deg()) / speed : 0.0;
+  const double expected_s = speed > 0.0 ? std::abs((target - from).deg()) / speed : 0.0;
   wait_until_stopped(jog.axis, expected_s + protocol.motion_timeout_s);
   const Angle encoder = stage.encoder_angle(jog.axis);
   // Half a degree: a jog only needs to arrive; its accuracy does not matter.
@@ -62,14 +104,31 @@ Angle JoggedStage::turn(const Jog& jog) const {
 
 }  // namespace
 
+HeldButton::HeldButton() : watcher_([this](const std::stop_token& end) { watch(end); }) {}
+
+void HeldButton::hear(const KeepTurning& sign) {
+  const std::lock_guard lock(mutex_);
+  last_ = std::chrono::steady_clock::now();
+  is_released_ = is_released_ || sign.let_go;
+  heard_.notify_all();
+}
+
+void HeldButton::watch(const std::stop_token& end) {
+  std::unique_lock lock(mutex_);
+  while (!end.stop_requested() && !is_released_ && std::chrono::steady_clock::now() < last_ + kLongestSilence)
+    heard_.wait_until(lock, end, last_ + kLongestSilence, [&] { return is_released_; });
+  lock.unlock();
+  if (!end.stop_requested()) source_.request_stop();
+}
+
 Angle turn_axis(const Jog& jog, RotationStage& stage, Clock& clock, const ProtocolConfig& protocol,
-                const std::stop_token& stop) {
+                const JogEnd& end) {
   try {
-    return JoggedStage{stage, clock, protocol, stop}.turn(jog);
+    return JoggedStage{stage, clock, protocol, end}.turn(jog);
   } catch (const InstrumentError& error) {
     const bool halted = stage.halt();
     // A halt from another thread makes the exchange under way fail: that is the operator's stop, not a fault.
-    if (stop.stop_requested())
+    if (end.stop.stop_requested())
       throw RunInterrupted(halted
                                ? "stopped by the operator"
                                : "stopped by the operator; the stage did not acknowledge the halt: stop it "

@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "app/faces/console/flag_words.h"
 #include "app/faces/console/visible_text.h"
 #include "app/operate/bench/guarded_stage.h"
 #include "app/results/estimates/result_json.h"
@@ -82,15 +83,14 @@ Json fault_json(const FaultSeen& seen) {
 }
 
 Json interrupted_json(const InterruptedRun& run) {
-  return {{"file", run.file},       {"words", run.words}, {"measured", run.measured},
-          {"planned", run.planned}, {"angle", run.angle}, {"items", run.items}};
-}
-
-/// The words of the bits of DwellRecord::flags, from the lowest on.
-Json flag_words() {
-  Json words = Json::array();
-  for (std::uint32_t flag = 1; (flag & kAllFlags) != 0U; flag <<= 1U) words.push_back(describe_flags(flag));
-  return words;
+  return {{"file", run.file},
+          {"words", run.words},
+          {"measured", run.measured},
+          {"planned", run.planned},
+          {"angle", run.angle},
+          {"items", run.items},
+          {"acknowledged_by", run.acknowledged_by},
+          {"acknowledged_utc", run.acknowledged_utc}};
 }
 
 /// How long a phase may last before the run gives up.
@@ -403,6 +403,11 @@ Json LiveView::on(const StateSeen& seen) {
   message["type"] = seen.type;
   states_[seen.type] = message;
   return message;
+}
+
+Json LiveView::on(const InterruptionAcknowledged& seen) {
+  interrupted_ = seen.run;
+  return {{"type", "acknowledged"}, {"interrupted", interrupted_json(seen.run)}};
 }
 
 Json LiveView::on(const HaltSeen& seen) {

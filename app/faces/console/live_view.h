@@ -48,6 +48,7 @@ class LiveView {
   Json on(const HaltSeen& seen);
   Json on(const FaultSeen& seen);
   Json on(const StateSeen& seen);
+  Json on(const InterruptionAcknowledged& seen);
 
   // Each changes the state by an event of the session, and returns members to add to its JSON.
   Json fold(const RunBeganEvent& began);

@@ -32,6 +32,7 @@ class Keys {
     if (!value.is_number()) throw RequestError(fmt::format("\"{}\" is no number", key));
     return value.get<double>();
   }
+  bool has(const char* key) const { return object_.contains(key); }
   bool flag(const char* key) {
     seen_.insert(key);
     const auto found = object_.find(key);
@@ -105,10 +106,27 @@ StageAxis axis_of(const std::string& name) {
   throw RequestError(R"("axis" must be "x" or "z")");
 }
 
-Angle turn_of(double degrees) {
+/// Reads how far a jog turns: exactly one of three keys says it.
+Jog jog_of(Keys& keys) {
+  Jog jog;
+  jog.axis = axis_of(keys.text("axis"));
+  const bool has_to = keys.has("to_deg"), is_held = keys.has("while_held");
+  if (is_held) {
+    jog.how = Jog::How::kWhileHeld;
+    const std::string direction = keys.text("while_held");
+    if (direction != "up" && direction != "down")
+      throw RequestError(R"("while_held" must be "up" or "down": towards larger or smaller angles)");
+    jog.angle = Angle::degrees(direction == "up" ? 360.0 : -360.0);
+    return jog;
+  }
+  const char* key = has_to ? "to_deg" : "by_deg";
+  jog.how = has_to ? Jog::How::kTo : Jog::How::kBy;
+  const double degrees = keys.number(key);
   // Written so that NaN is refused as well.
-  if (!(std::abs(degrees) <= 360.0)) throw RequestError("\"by_deg\" must be from -360 to 360 degrees");
-  return Angle::degrees(degrees);
+  if (!(std::abs(degrees) <= 360.0))
+    throw RequestError(fmt::format("\"{}\" must be from -360 to 360 degrees", key));
+  jog.angle = Angle::degrees(degrees);
+  return jog;
 }
 
 std::string note_of(std::string text) {
@@ -122,7 +140,7 @@ std::string note_of(std::string text) {
   return text;
 }
 
-constexpr double kMostEntry = 1e9;
+constexpr double kMostEntry = 1e9, kMostPage = 1e9;
 constexpr int kMostRunsOfEntry = 100;
 constexpr int kMostPlaces = 200;
 
@@ -158,6 +176,11 @@ Command command_of(const std::string& what, Keys& keys) {
   if (what == "beat") return Beat{};
   if (what == "control") {
     if (keys.flag("release")) return ReleaseControl{};
+    if (keys.flag("ask")) return AskControl{};
+    for (const char* answer : {"hand_over_to", "not_to"}) {
+      if (keys.has(answer))
+        return AnswerControl{whole(answer, keys.number(answer), 1, kMostPage), answer[0] == 'h'};
+    }
     return TakeControl{keys.flag("from_another")};
   }
   if (what == "check") {
@@ -186,11 +209,15 @@ Command command_of(const std::string& what, Keys& keys) {
   }
   if (what == "jog") {
     keys.require_confirmation();
-    return Jog{axis_of(keys.text("axis")), turn_of(keys.number("by_deg"))};
+    return jog_of(keys);
   }
+  if (what == "keep_turning") return KeepTurning{keys.flag("let_go")};
+  if (what == "acknowledge") return Acknowledge{keys.text("run")};
   if (what == "note") return Note{note_of(keys.text("text"))};
   throw RequestError(
-      "\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog, note, level, probe or "
+      "\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog, keep_turning, note, "
+      "acknowledge, level, "
+      "probe or "
       "queue_...");
 }
 

@@ -27,6 +27,13 @@ struct TakeControl {
   bool from_another = false;  ///< Even if another page has it.
 };
 struct ReleaseControl {};
+/// Asks the page that steers to hand control over.
+struct AskControl {};
+/// The page that steers answers the page that has asked.
+struct AnswerControl {
+  std::int64_t page = 0;  ///< Number of the page that has asked.
+  bool hand_over = false;
+};
 struct CheckBench {
   bool with_motion = false;
 };
@@ -41,11 +48,27 @@ struct ResumeRun {
   bool without_missing_items = false;  ///< Missing ones of several items are left out.
 };
 struct Jog {
+  enum class How {
+    kBy,        ///< By an angle relative to the encoder angle.
+    kTo,        ///< To an angle of the protocol.
+    kWhileHeld  ///< As long as signs of life come (KeepTurning), at most by this angle or to the travel's
+                ///< end.
+  };
   StageAxis axis = StageAxis::kX;
-  Angle by;  ///< Relative to the encoder angle; at most one turn.
+  How how = How::kBy;
+  Angle angle;  ///< At most one turn.
+};
+/// A person still holds the button of a jog; sent each 100 ms and not answered.
+struct KeepTurning {
+  bool let_go = false;  ///< The button was released: halt now.
 };
 struct Note {
   std::string text;
+};
+
+/// A person has taken note of the interruption of a run.
+struct Acknowledge {
+  std::string run;  ///< Name of a file in the run folder.
 };
 
 /// Measures the tilt of the Z axis and the zero of X.
@@ -81,8 +104,9 @@ struct QueueStart {
 using QueueCommand =
     std::variant<QueueAdd, QueueMove, QueueRemove, QueueRepeat, QueuePause, QueueMounted, QueueStart>;
 
-using Command = std::variant<Beat, TakeControl, ReleaseControl, CheckBench, StartRun, HoldRun, ContinueRun,
-                             Stop, ResumeRun, Jog, Note, Level, Probe, QueueCommand>;
+using Command = std::variant<Beat, TakeControl, ReleaseControl, AskControl, AnswerControl, CheckBench,
+                             StartRun, HoldRun, ContinueRun, Stop, ResumeRun, Jog, KeepTurning, Note,
+                             Acknowledge, Level, Probe, QueueCommand>;
 
 struct Request {
   std::int64_t id = 0;  ///< Returned with the reply.

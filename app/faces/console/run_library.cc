@@ -8,11 +8,16 @@
 #include <cmath>
 #include <cstdint>
 #include <fstream>
+#include <iterator>
 #include <limits>
+#include <map>
+#include <sstream>
 #include <string_view>
 #include <utility>
 
 #include "app/faces/console/download.h"
+#include "app/faces/console/flag_words.h"
+#include "app/faces/console/thinned_readings.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/bench_file/not_real.h"
 #include "app/ground/system/output_file.h"
@@ -23,6 +28,7 @@
 #include "app/laboratory/compare/compare_results.h"
 #include "app/operate/bench/make_bench.h"
 #include "app/results/estimates/analyses.h"
+#include "app/results/estimates/budget_words.h"
 #include "app/results/estimates/estimators.h"
 #include "app/results/estimates/load_record.h"
 #include "app/results/estimates/result_json.h"
@@ -36,6 +42,25 @@ namespace abcal::console {
 namespace {
 
 using Json = nlohmann::ordered_json;
+
+constexpr const char* kNotReadYet = "not read yet";
+
+std::string lower(std::string text) {
+  for (char& c : text)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  return text;
+}
+
+bool has_item(const Json& run, const std::string& serial_number) {
+  return std::ranges::any_of(run.value("items", Json::array()), [&](const Json& item) {
+    return item.value("serial_number", "") == serial_number;
+  });
+}
+
+std::vector<std::string> words_of(const std::string& text) {
+  std::istringstream stream(text);
+  return {std::istream_iterator<std::string>(stream), {}};
+}
 
 /// Format of the stored summaries; those of another format are made again.
 constexpr int kSummaryFormat = 5;
@@ -301,7 +326,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
   const auto deadline = std::chrono::steady_clock::now() + patience;
   for (const std::string& name : all) {
     if (std::chrono::steady_clock::now() > deadline && !is_known(name)) {
-      list.push_back({{"name", name}, {"state", "not read yet"}});
+      list.push_back({{"name", name}, {"state", kNotReadYet}});
       continue;
     }
     try {
@@ -326,11 +351,60 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
   return list;
 }
 
+Json RunLibrary::page(const PageAsked& asked) {
+  const Json all = list();
+  const std::vector<std::string> words = words_of(lower(asked.search));
+  std::vector<const Json*> found;
+  std::size_t unread = 0;
+  for (const Json& run : all) {
+    if (run["state"] == kNotReadYet) ++unread;
+    if (!asked.state.empty() && run["state"] != asked.state) continue;
+    if (!asked.item.empty() && !has_item(run, asked.item)) continue;
+    if (!asked.bench.empty() && run.value("bench", "") != asked.bench) continue;
+    const std::string text = lower(run.dump());
+    if (std::ranges::all_of(words,
+                            [&](const std::string& word) { return text.find(word) != std::string::npos; }))
+      found.push_back(&run);
+  }
+  if (!asked.sort.empty())
+    std::ranges::stable_sort(found, [&](const Json* a, const Json* b) {
+      const Json first = a->value(asked.sort, Json()), second = b->value(asked.sort, Json());
+      return asked.descending ? second < first : first < second;
+    });
+  Json json = {{"all", all.size()}, {"found", found.size()}, {"unread", unread}};
+  std::map<std::string, int> verdicts;
+  std::string first, last;
+  for (const Json* run : found) {
+    if (const std::string verdict = run->value("verdict", ""); !verdict.empty()) ++verdicts[verdict];
+    const std::string begun = run->value("created_utc", "");
+    if (begun.empty()) continue;
+    if (first.empty() || begun < first) first = begun;
+    last = std::max(last, begun);
+  }
+  json["verdicts"] = verdicts;
+  json["first_utc"] = first;
+  json["last_utc"] = last;
+  json["runs"] = Json::array();
+  for (std::size_t i = asked.from; i < found.size() && i - asked.from < asked.count; ++i)
+    json["runs"].push_back(*found[i]);
+  return json;
+}
+
 Json RunLibrary::result(const std::filesystem::path& path, int item) {
   const AnalysedRun all = analyse_run(RunFile::load_items(path));
   const AnalysedItem& shown = all.item(shown_item(all.items.front().stored, item));
   const StoredRun& run = shown.stored;
   Json json = {{"run", to_json(path.filename().string(), summary_of(run))}};
+  for (std::size_t i = 0; i < all.items.size(); ++i)
+    json["run"]["items"][i]["verdict"] = to_string(all.items[i].result().verdict);
+  json["dominates"] = Json::array();
+  if (const auto budget = budget_of_result(run.record, shown.result()))
+    for (const DominatingInput& each : dominating_inputs(*budget)) {
+      Json outputs = Json::array();
+      for (const auto& [symbol, share] : each.outputs)
+        outputs.push_back({{"output", symbol}, {"share", json_number(share)}});
+      json["dominates"].push_back({{"input", each.input}, {"outputs", std::move(outputs)}});
+    }
   json["item"] = run.item;
   json["program_version"] = run.header.program_version;
   json["timing"] = {{"moving_s", run.timing.moving_s},
@@ -364,6 +438,80 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
       json["meanings"][check.name] = meaning_of_check(check.name);
     for (const FlagCount& flag : result.diagnostics.flags)
       json["meanings"][flag.flag] = meaning_of_flag(flag.flag);
+  }
+  return json;
+}
+
+Json RunLibrary::angles(const std::filesystem::path& path, int item) {
+  StoredRun run = RunFile::load(path);
+  if (const int shown = shown_item(run, item); shown != run.item) run = RunFile::load(path, shown);
+  Json json = {{"item", run.item}, {"unit", run.header.response_unit}, {"flag_words", flag_words()}};
+  // Without a UTC of the beginning (simulated time) events have no place on the axis of the times of angles.
+  json["begun_utc"] = run.sessions.empty() || !run.sessions.front().begun
+                          ? Json(nullptr)
+                          : Json(format_utc(*run.sessions.front().begun));
+  const auto column = [&](const char* name, const auto& value) {
+    Json& values = json[name] = Json::array();
+    for (std::size_t i = 0; i < run.dwells.size(); ++i) values.push_back(value(i));
+  };
+  const auto of_outputs = [&](const char* name, const auto& value) {
+    json[name] = Json::array();
+    for (int j = 0; j < 3; ++j) {
+      Json values = Json::array();
+      for (const DwellRecord& dwell : run.dwells) values.push_back(json_number(value(dwell, j)));
+      json[name].push_back(std::move(values));
+    }
+  };
+  column("position", [&](std::size_t i) { return run.measured[i]; });
+  column("experiment", [&](std::size_t i) { return run.dwells[i].experiment; });
+  column("face", [&](std::size_t i) { return run.dwells[i].face; });
+  column("alpha_deg", [&](std::size_t i) { return json_number(run.dwells[i].alpha.deg()); });
+  column("closing", [&](std::size_t i) { return run.dwells[i].closing; });
+  const auto encoder = [](const std::optional<Angle>& angle) {
+    return json_number(angle ? std::optional(angle->deg()) : std::nullopt);
+  };
+  column("encoder_x_deg", [&](std::size_t i) { return encoder(run.dwells[i].encoder_x); });
+  column("encoder_z_deg", [&](std::size_t i) { return encoder(run.dwells[i].encoder_z); });
+  column("time_s", [&](std::size_t i) { return json_number(run.dwells[i].time_s); });
+  column("readings", [&](std::size_t i) { return run.dwells[i].count; });
+  column("temperature_degc", [&](std::size_t i) { return json_number(run.dwells[i].temperature_degc); });
+  column("flags", [&](std::size_t i) { return run.dwells[i].flags; });
+  column("rate_deg_per_s", [&](std::size_t i) {
+    const auto& motion = run.dwells[i].motion;
+    return json_number(motion ? std::optional(motion->rate_deg_per_s) : std::nullopt);
+  });
+  of_outputs("mean", [](const DwellRecord& dwell, int j) { return std::optional(dwell.mean[j]); });
+  of_outputs("u_mean", [](const DwellRecord& dwell, int j) {
+    return dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt;
+  });
+  return json;
+}
+
+Json RunLibrary::readings(const std::filesystem::path& path, int item, std::optional<std::size_t> position,
+                          std::size_t columns) {
+  const StoredRun run = RunFile::load(path);
+  const int shown = shown_item(run, item);
+  ThinnedReadings thinned(position ? 1 : run.measured.size(), columns);
+  RunFile::read_dwells(
+      path,
+      [&](const StoredDwell& dwell) {
+        if (dwell.repeat || (position && dwell.plan_position != *position)) return;
+        thinned.add(dwell.readings);
+      },
+      shown);
+  Json json = {{"item", shown},
+               {"unit", run.header.items.at(static_cast<std::size_t>(shown) - 1).response_unit},
+               {"readings", thinned.count()},
+               {"thinned", thinned.count() > thinned.points().size()},
+               {"time_s", Json::array()},
+               {"lowest", {Json::array(), Json::array(), Json::array()}},
+               {"highest", {Json::array(), Json::array(), Json::array()}}};
+  for (const ThinnedReadings::Point& point : thinned.points()) {
+    json["time_s"].push_back(json_number(point.time_s));
+    for (std::size_t j = 0; j < 3; ++j) {
+      json["lowest"][j].push_back(json_number(point.lowest[static_cast<Eigen::Index>(j)]));
+      json["highest"][j].push_back(json_number(point.highest[static_cast<Eigen::Index>(j)]));
+    }
   }
   return json;
 }

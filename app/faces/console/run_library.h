@@ -38,10 +38,33 @@ class RunLibrary {
   /// All runs, newest first, with their state and progress. A file that cannot be read is listed with the
   /// reason; one for which `patience` left no time, as "not read yet": ask again.
   nlohmann::ordered_json list(std::chrono::milliseconds patience = std::chrono::milliseconds(500));
+  /// A page of the list.
+  struct PageAsked {
+    std::string search;  ///< Words that a run's data must all have; capitals do not matter.
+    std::string sort;    ///< A key of a run's data; empty: newest first.
+    bool descending = false;
+    std::string state;  ///< Only runs in this state; empty: in any.
+    std::string item;   ///< Only runs of the item with this serial number; empty: of any.
+    std::string bench;  ///< Only runs on the bench of this name; empty: on any.
+    std::size_t from = 0, count = 100;
+  };
+  /// One page of the runs that are found: `runs`; and how many are `found`, there in `all`, and
+  /// `unread` so far; `verdicts` counts those found by verdict, `first_utc` and `last_utc` say when the
+  /// first and the last of them began.
+  nlohmann::ordered_json page(const PageAsked& asked);
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @param item  from 1; 0: the first that was not left out
   /// @throws RunFileError
   nlohmann::ordered_json result(const std::filesystem::path& run, int item);
+  /// The measured angles of an item, in columns: for charts of their means and residuals.
+  /// @param item  as of result()
+  static nlohmann::ordered_json angles(const std::filesystem::path& run, int item);
+  /// Single readings of an item, at most some `columns` of them: of more, the lowest and the highest of equal
+  /// parts in time, so that nothing that stands out is lost.
+  /// @param item  as of result()
+  /// @param position  of an angle in the plan; absent: of all angles
+  static nlohmann::ordered_json readings(const std::filesystem::path& run, int item,
+                                         std::optional<std::size_t> position, std::size_t columns);
   /// The path of a run, or with its item: NAME#K is item K of NAME.
   std::optional<std::string> find_item(const std::string& name) const;
   /// Two results side by side (abcal.compare/1), also of different items. Each is a path that find_item()

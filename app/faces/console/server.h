@@ -25,7 +25,10 @@ struct ServerOptions {
   std::filesystem::path bench_socket;
   /// Location of the register whose persons use the console; empty: none.
   std::string register_location;
-  std::filesystem::path laboratory_file;    ///< For certificates; empty: the page issues none.
+  std::filesystem::path laboratory_file;  ///< For certificates; empty: the page issues none.
+  /// Folders whose benches are shown as tiles, besides that of the own runs; empty: no tiles.
+  std::vector<std::filesystem::path> tile_folders;
+  std::vector<std::string> tile_links;      ///< Addresses of other consoles, shown beside the tiles.
   std::chrono::minutes login_time{8 * 60};  ///< A working day.
   std::optional<TlsIdentity> tls;           ///< Required where others than this computer can connect.
   /// Addresses of proxies that are trusted to state where a request comes from.

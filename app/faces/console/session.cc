@@ -221,7 +221,18 @@ Session::Refusal Session::probe() {
 }
 
 Session::Refusal Session::jog(const Jog& jog, const Asker& by) {
-  return begin(Activity::kJogging, [this, jog, by] { do_jog(jog, by); });
+  const auto button = jog.how == Jog::How::kWhileHeld ? std::make_shared<HeldButton>() : nullptr;
+  Refusal refusal = begin(Activity::kJogging, [this, jog, by, button] { do_jog(jog, by, button.get()); });
+  const std::lock_guard lock(mutex_);
+  if (!refusal) button_ = button;
+  return refusal;
+}
+
+Session::Refusal Session::keep_turning(const KeepTurning& sign) {
+  const std::lock_guard lock(mutex_);
+  if (activity_ != Activity::kJogging || !button_) return "no button is held for a jog";
+  button_->hear(sign);
+  return std::nullopt;
 }
 
 void Session::record(const char* kind, const Asker& by, RunOperator operates) {
@@ -277,6 +288,18 @@ Session::Refusal Session::note(std::string text, const Asker& by) {
   if (activity_ != Activity::kRunning || !run_)
     return "no run is in progress: a note goes into the event log of a run";
   if (!run_->add_note({std::move(text), by.for_record()})) return "many notes wait to be stored already";
+  return std::nullopt;
+}
+
+Session::Refusal Session::acknowledge(const std::filesystem::path& run, const Asker& by) {
+  if (!is_idle()) return kBusy;
+  try {
+    acknowledge_interrupted_run(run, format_utc(RealClock().utc_now()), by.for_record());
+  } catch (const RunFileError& error) {
+    return error.what();
+  }
+  log(fmt::format("The interruption of {} is acknowledged by {}.", run.filename().string(), by.for_people()));
+  if (auto now = find_interrupted_run(options_.runs)) notify_(InterruptionAcknowledged{*std::move(now)});
   return std::nullopt;
 }
 
@@ -385,7 +408,7 @@ void Session::do_probe() {
   notify_(StateSeen{"ports", {{"ports", std::move(list)}}});
 }
 
-void Session::do_jog(const Jog& jog, const Asker& by) {
+void Session::do_jog(const Jog& jog, const Asker& by, HeldButton* button) {
   if (jog_bench_ && jog_bench_->by != by.for_people())
     jog_bench_.reset();  // The guard's log names the person.
   if (!jog_bench_) {
@@ -396,8 +419,11 @@ void Session::do_jog(const Jog& jog, const Asker& by) {
   Bench& bench = jog_bench_->bench;
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
+  const std::stop_token let_go = button == nullptr ? std::stop_token() : button->let_go();
+  std::optional<std::stop_callback<std::function<void()>>> halt_when_let_go;
+  if (!bench.simulated_time) halt_when_let_go.emplace(let_go, [&] { bench.stage->halt(); });
   const Angle angle =
-      turn_axis(jog, *bench.stage, *bench.clock, jog_bench_->config.protocol, stop_.get_token());
+      turn_axis(jog, *bench.stage, *bench.clock, jog_bench_->config.protocol, {stop_.get_token(), let_go});
   log(fmt::format("Axis {} is at {:.4f} degrees (encoder), turned by {}.", to_string(jog.axis), angle.deg(),
                   by.for_people()));
 }

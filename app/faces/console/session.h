@@ -14,6 +14,7 @@
 
 #include "app/faces/console/asker.h"
 #include "app/faces/console/event.h"
+#include "app/faces/console/jog.h"
 #include "app/faces/console/request.h"
 #include "app/faces/console/run_choice.h"
 #include "app/faces/run/run_session.h"
@@ -56,8 +57,12 @@ class Session {
   Refusal hold(const Asker& by);
   Refusal continue_run(const Asker& by);
   Refusal jog(const Jog& jog, const Asker& by);
+  /// A sign of life of the button that is held for a jog.
+  Refusal keep_turning(const KeepTurning& sign);
   /// Adds a note to the event log of the current run.
   Refusal note(std::string text, const Asker& by);
+  /// Stores who has taken note of the interruption of a run.
+  Refusal acknowledge(const std::filesystem::path& run, const Asker& by);
   /// Halts the stage at once and ends the current activity.
   Refusal stop(const Asker& by);
   /// Whether nothing is in progress now; an older event that says otherwise may still arrive.
@@ -83,7 +88,7 @@ class Session {
   Refusal stale(const RunChoice& choice) const;
   void do_level(const std::filesystem::path& run);
   void do_probe();
-  void do_jog(const Jog& jog, const Asker& by);
+  void do_jog(const Jog& jog, const Asker& by, HeldButton* button);
 
   Options options_;
   std::function<void(Event)> notify_;
@@ -105,6 +110,7 @@ class Session {
     std::string by;  ///< Who turned it.
   };
   std::optional<JogBench> jog_bench_;
+  std::shared_ptr<HeldButton> button_;  ///< The one that a person holds for the jog in progress; null: none.
 
   std::jthread stopper_;  ///< Sends the halt, so that no other thread waits for it.
   std::jthread worker_;

@@ -237,16 +237,17 @@ class Form {
     json_["last_check"] = nullptr;
     const auto check = last_check(asked_.runs, asked_.bench_file);
     if (!check) return warn("This bench has not been checked from the console yet.");
+    const bool outdated = check->utc < format_utc(now_ - kCheckHolds);
     json_["last_check"] = {{"utc", check->utc},
                            {"by", check->by},
                            {"with_motion", check->with_motion},
                            {"good", check->good},
                            {"warnings", check->warnings},
-                           {"problems", check->problems}};
+                           {"problems", check->problems},
+                           {"outdated", outdated}};
     if (check->problems > 0)
       warn(fmt::format("The last check of this bench found {} problems.", check->problems));
-    if (check->utc < format_utc(now_ - kCheckHolds))
-      warn(fmt::format("The last check of this bench is older than {} h.", kCheckHolds.count()));
+    if (outdated) warn(fmt::format("The last check of this bench is older than {} h.", kCheckHolds.count()));
   }
 
   /// The record of the stage: its age, how long it is good for, and whether the last run agreed with it.

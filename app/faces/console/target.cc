@@ -66,6 +66,7 @@ std::optional<std::map<std::string, std::string>> parse_form(std::string_view bo
   std::string query = uri->query_raw == nullptr ? "" : uri->query_raw;
   std::replace(query.begin(), query.end(), '+', ' ');
   for (const std::string_view field : pieces::split(query, '&')) {
+    if (field.empty()) continue;
     const std::size_t end = std::min(field.find('='), field.size());
     fields.emplace(decoded(field.substr(0, end)), decoded(field.substr(std::min(end + 1, field.size()))));
   }

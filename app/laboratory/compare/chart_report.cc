@@ -105,6 +105,35 @@ std::string chart_text(const ShownChart& chart, std::FILE* stream) {
   return text + status(chart, stream);
 }
 
+ShownChart shown_chart(lab::Register& opened, const std::string& name) {
+  const lab::CheckStandard standard = opened.check_standard(name);
+  ShownChart chart;
+  chart.name = standard.name;
+  chart.approved_by = standard.approved_by;
+  chart.approved_utc = standard.approved_utc;
+  chart.retired = standard.retired;
+  chart.baseline = baseline_from_json(standard.baseline_json);
+  for (const lab::CheckPoint& point : opened.check_points(name))
+    chart.points.push_back({point.identity,
+                            point.run_sha256,
+                            point.date,
+                            point.found,
+                            point.added_by,
+                            point.outside,
+                            {values_from_json(point.values_json), point.begins_anew}});
+  for (const lab::BenchBlock& block : opened.blocks())
+    if (block.check_standard == name)
+      chart.blocks.push_back(
+          {block.found, block.set_utc, block.lifted_by, block.lifted_utc, block.reason, block.holds()});
+  for (const lab::CheckRunNotice& run : opened.waiting_check_runs(name)) {
+    const auto& baseline = chart.baseline.runs;
+    if (std::none_of(baseline.begin(), baseline.end(),
+                     [&](const CheckRun& one) { return one.sha256 == run.run_sha256; }))
+      chart.waiting.push_back({run.file, run.date, run.run_sha256, run.told_by});
+  }
+  return chart;
+}
+
 nlohmann::ordered_json chart_json(const ShownChart& chart) {
   Json json{{"schema", "abcal.chart/1"},
             {"name", chart.name},

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/laboratory/compare/check_chart.h"
+#include "app/laboratory/register/register.h"
 
 namespace abcal {
 
@@ -33,6 +34,10 @@ struct ShownChart {
   bool blocked() const;
   std::vector<JudgedPoint> judged() const;
 };
+
+/// A chart of the register, with its baseline, points and blocks.
+/// @throws lab::RegisterError, CheckChartError
+ShownChart shown_chart(lab::Register& opened, const std::string& name);
 
 /// @param stream  the stream that it is printed on, for colours
 std::string chart_text(const ShownChart& chart, std::FILE* stream);

@@ -63,4 +63,26 @@ std::string gravity_words(const Budget& budget, int output, const std::string& r
   return {};
 }
 
+std::optional<Budget> budget_of_result(const RunRecord& record, const CalibrationResult& result) {
+  if (result.verdict == Verdict::kNotUsable || !result.sensitivity_matrix) return std::nullopt;
+  return make_budget(record, result);
+}
+
+std::vector<DominatingInput> dominating_inputs(const Budget& budget) {
+  std::vector<DominatingInput> inputs;
+  std::vector<const BudgetLine*> lines;
+  for (const int k : worst_of_each_kind(budget.combined)) {
+    const auto largest = std::ranges::max_element(
+        budget.lines, {}, [&](const BudgetLine& line) { return budget.share(line, k); });
+    if (largest == budget.lines.end()) continue;
+    const auto known = static_cast<std::size_t>(std::ranges::find(lines, &*largest) - lines.begin());
+    if (known == lines.size()) {
+      lines.push_back(&*largest);
+      inputs.push_back({largest->input, {}});
+    }
+    inputs[known].outputs.emplace_back(output_symbol(k), budget.share(*largest, k));
+  }
+  return inputs;
+}
+
 }  // namespace abcal

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/record/run_record.h"
 #include "protocol/uncertainty/budget.h"
 
 namespace abcal {
@@ -19,5 +22,18 @@ std::vector<std::pair<std::string, std::string>> budget_sources(const Budget& bu
 /// The part of g_loc in an output in SI units and per standard g; empty for an output that has nothing of it,
 /// and where g_loc is not known.
 std::string gravity_words(const Budget& budget, int output, const std::string& response_unit);
+
+/// The budget of a result; nothing: it has no matrix, or nothing may be read from it.
+std::optional<Budget> budget_of_result(const RunRecord& record, const CalibrationResult& result);
+
+/// An input that dominates the uncertainty of some outputs.
+struct DominatingInput {
+  std::string input;  ///< As in BudgetLine.
+  std::vector<std::pair<std::string, double>>
+      outputs;  ///< Symbol, and the input's share of the variance, 0..1.
+};
+
+/// The largest line of the budget for the worst output of each kind; outputs with the same line together.
+std::vector<DominatingInput> dominating_inputs(const Budget& budget);
 
 }  // namespace abcal

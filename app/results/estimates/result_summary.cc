@@ -14,6 +14,7 @@
 #include "app/ground/system/output.h"
 #include "app/ground/system/terminal.h"
 #include "app/ground/system/text_layout.h"
+#include "app/results/estimates/budget_words.h"
 #include "app/results/estimates/effect_words.h"
 #include "app/results/estimates/result_text.h"
 #include "app/results/estimates/size_costs.h"
@@ -143,33 +144,18 @@ std::string intrinsic_table(const CalibrationResult& result, std::FILE* stream) 
                        "O, " + unit(result.offset)});
 }
 
-/// The budget of a result with a matrix.
-std::optional<Budget> budget_of(const RunRecord& record, const CalibrationResult& result) {
-  if (result.verdict == Verdict::kNotUsable || !result.sensitivity_matrix) return std::nullopt;
-  return make_budget(record, result);
-}
 std::optional<Budget> budget_of(const AnalysedItem& item) {
-  return budget_of(item.stored.record, item.results.front());
+  return budget_of_result(item.stored.record, item.results.front());
 }
 
-/// The largest line of the budget for the worst output of each kind; outputs with the same line together.
 std::string dominating(const Budget& budget, std::FILE* stream) {
-  std::vector<std::pair<const BudgetLine*, std::string>> lines;
-  for (const int k : worst_of_each_kind(budget.combined)) {
-    const auto largest = std::ranges::max_element(
-        budget.lines, {}, [&](const BudgetLine& line) { return budget.share(line, k); });
-    if (largest == budget.lines.end()) continue;
-    const std::string words = fmt::format("{} {:.0f} %", output_symbol(k), 100.0 * budget.share(*largest, k));
-    const auto known = std::ranges::find(lines, &*largest, &std::pair<const BudgetLine*, std::string>::first);
-    if (known == lines.end()) {
-      lines.emplace_back(&*largest, words);
-    } else {
-      known->second += ", " + words;
-    }
-  }
   std::string text = heading(stream, "What dominates U (largest part of the variance)");
-  for (const auto& [line, outputs] : lines)
-    text += block(fmt::format("{}: {}", line->input, outputs), "  ", "    ");
+  for (const DominatingInput& each : dominating_inputs(budget)) {
+    std::vector<std::string> outputs;
+    for (const auto& [symbol, share] : each.outputs)
+      outputs.push_back(fmt::format("{} {:.0f} %", symbol, 100.0 * share));
+    text += block(fmt::format("{}: {}", each.input, fmt::join(outputs, ", ")), "  ", "    ");
+  }
   return text;
 }
 
@@ -245,7 +231,8 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
   }
   std::map<std::string_view, std::pair<DefaultCost, std::size_t>> largest;  // by key, with the item from 0
   for (std::size_t k = 0; k < run.items.size(); ++k) {
-    const std::optional<Budget> budget = budget_of(run.items[k].stored.record, run.joint.items[k].result);
+    const std::optional<Budget> budget =
+        budget_of_result(run.items[k].stored.record, run.joint.items[k].result);
     if (!budget) continue;
     for (const DefaultCost& each : default_costs(run.items[k].stored.record.tolerances, *budget)) {
       const auto [known, is_new] = largest.try_emplace(each.size->key, each, k);

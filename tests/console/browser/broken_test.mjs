@@ -11,7 +11,7 @@ import {browserName} from './served_page.mjs';
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
 const OTHERS = ['login.js'];  // Belongs to the pages that ask for a login, which have no Stop.
 const WORKS = /The banner and Stop work/, ARBEITET = /Die Anzeige oben und Stopp arbeiten/;
-const MOVES = /^(The axes are homed|The stage moves|Waiting until|Reading)/;
+const MOVES = /^(The axes are homed|The stage turns from angle to angle)/;
 const step = begin({pace: 5, bench: ENDLESS});
 let run;
 
@@ -84,7 +84,7 @@ step('each file that the page asks for is missing, one after another: Stop ends 
     const without = await next;
     await without.front();
     await without.locator('#failed').says(['language.js', 'de.js'].includes(file) ? WORKS : ARBEITET).catch((error) => { throw new Error(file, {cause: error}); });
-    if (['app.js', 'chart.js', 'style.css'].includes(file)) await pictureOf(without, `without-${file.replace('.', '-')}`);
+    if (['app.js', 'uplot.js', 'style.css'].includes(file)) await pictureOf(without, `without-${file.replace('.', '-')}`);
     await stops(without, file);
     await without.close();
     [next] = await Promise.all([i + 1 < files.length && missing(files[i + 1]), goesOn(page)]);  // The next page is loaded meanwhile.
@@ -101,7 +101,7 @@ step('without Stop itself the page says what to do instead', async () => {
 });
 
 step('files never come: Stop ends the run', async (page) => {
-  const files = ['app.js', 'chart.js', 'said.js', 'style.css'];
+  const files = ['app.js', 'uplot.js', 'said.js', 'style.css'];
   const waiting = await Promise.all(files.map((file) => broken((name) => (name === `/${file}` ? 'never' : null))));
   for (const [i, file] of files.entries()) {
     await waiting[i].front();

@@ -95,7 +95,7 @@ step('nothing has halted before the axes have said so, nor after somebody has mo
   await other.getByRole('button', {name: 'Take control'}).click();
   await other.locator('#resume-interrupted:enabled').click();
   await other.locator('#confirm-yes').click();
-  await other.locator('#banner-word', {hasText: /^(Homing|Moving|Settling|Reading)$/}).waitFor();
+  await other.locator('#banner-word', {hasText: /^(Homing|Measuring)$/}).waitFor();
   await page.front();
   await says('#halt', /^Axis X has halted/);
   await page.evaluate(() => { globalThis.away = false; globalThis.line.onclose(); });
@@ -117,7 +117,7 @@ step('nor does the page of that run', async (page) => {
   await served.goTo('runs');
   await page.locator('button.resume:enabled').click();
   await confirmDialog();
-  await says('#banner-word', /^(Homing|Moving|Settling|Reading)$/);
+  await says('#banner-word', /^(Homing|Measuring)$/);
   await served.goTo('runs');
   await page.locator('#run-table th a').click();
   await says('#verdict', /The run is running, or its program died/);

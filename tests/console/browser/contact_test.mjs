@@ -16,9 +16,9 @@ step('says what the bench does, in a word, with its limit, in the title and in t
   await page.locator('#take-control').click();
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
-  await wordIs(/^(Moving|Settling|Reading)$/);
-  await page.waitForFunction(() => /^Limit: \d+ (s|min)/.test(document.getElementById('banner-more').textContent));
-  await page.waitForFunction(() => /^(Moving|Settling|Reading), \d+ of 119 – bench\.toml$/.test(document.title));
+  await wordIs(/^Measuring$/);
+  await page.waitForFunction(() => /^\d+ (s|min)/.test(document.getElementById('limit').textContent));
+  await page.waitForFunction(() => /^Measuring, \d+ of 119 – bench\.toml$/.test(document.title));
   await iconIs('busy');
   await says('#reply', 'Start: accepted');
   await says('#run-file', /\.run$/);
@@ -51,7 +51,7 @@ step('offers to resume the run that was interrupted, and where', async (page) =>
   await says('#interrupted-words', new RegExp(`^${runName} was interrupted at (experiment \\d, [\\d.]+ degrees|check pose \\d).*: \\d+ of 119 angles are measured`));
   await page.locator('#resume-interrupted:enabled').click();
   await confirmDialog();
-  await wordIs(/^(Moving|Settling|Reading|Homing)$/);
+  await wordIs(/^(Measuring|Homing)$/);
   await page.locator('#interrupted').becomesHidden();
 });
 
@@ -66,10 +66,10 @@ step('with the console killed: says so, and finds the run again, which went on',
   const known = await measured();
   await served.serveAgain('--pace', String(PACE));
   await contact();
-  await wordIs(/^(Moving|Settling|Reading)$/);
+  await wordIs(/^Measuring$/);
   await served.measuredAtLeast(known + 1);
   await page.getByText('This page no longer has control: this page lost its connection').waitFor();
-  const times = await page.evaluate(() => Chart.getChart(document.getElementById('strip')).data.datasets[0].data.map((point) => point.x));
+  const times = await page.evaluate(() => document.getElementById('strip').chart.values[0]);
   assert.ok(times.every((t, i) => i === 0 || t >= times[i - 1]), 'the strip does not run backwards');
 });
 
@@ -104,7 +104,7 @@ step('shows times of one kind, UTC or local', async (page) => {
 step('with the process that holds the bench killed: says so, and offers the run again', async (page) => {
   await page.locator('#resume-interrupted:enabled').click();
   await confirmDialog();
-  await wordIs(/^(Moving|Settling|Reading)$/);
+  await wordIs(/^Measuring$/);
   process.kill(served.holder(), 'SIGKILL');
   await page.locator('#interrupted').waitFor();
   await says('#interrupted-words', /Its program died/);

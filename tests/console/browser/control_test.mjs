@@ -33,6 +33,26 @@ step('another page watches, and steers only after it took control', async (page)
   await page.locator('#do-continue:enabled').waitFor();
 });
 
+step('a page asks for control, and the page that steers hands it over', async (page) => {
+  const other = await served.newPage();
+  await other.goto(served.address);
+  await page.locator('#who-watches').says(/^Also on this bench: page \d+ at 127\.0\.0\.1:\d+\.$/);
+  for (const answer of ['#not-now', '#hand-over']) {
+    await other.page.bringToFront();
+    await other.locator('#ask-control:enabled').click();
+    await other.locator('#ask-control').says('Asked for control');
+    await page.locator('#asks-words').says(/^page \d+ at 127\.0\.0\.1:\d+ asks for control\.$/);
+    await page.page.bringToFront();
+    await page.locator(answer).click();
+    await page.locator('#asks-control').becomesHidden();
+  }
+  await other.locator('#do-continue:enabled').waitFor();
+  await page.locator('#do-continue').becomesDisabled();
+  await other.close();
+  await page.getByRole('button', {name: 'Take control'}).click();
+  await page.locator('#do-continue:enabled').waitFor();
+});
+
 step('continues, stops at once, and resumes from the list of runs', async (page) => {
   const held = await measured();
   await page.locator('#do-continue').click();
@@ -50,7 +70,7 @@ step('continues, stops at once, and resumes from the list of runs', async (page)
   await page.locator('nav a[href="#runs"]').click();
   await page.getByRole('link', {name: runName}).click();
   await page.locator('#estimators').waitFor();
-  await says('#verdict', /interrupted and resumed once/);
+  await says('#answer', /interrupted and resumed once/);
 });
 
 step('connects again by itself, and the bench does not depend on it', async (page) => {

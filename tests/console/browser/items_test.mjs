@@ -33,7 +33,7 @@ const told = (page) => page.evaluate(() => new Promise((resolve) => {
     if (message.type === 'snapshot') { socket.close(); resolve(message.strip); }
   };
 }));
-const drawn = (page) => page.evaluate(() => Chart.getChart(document.getElementById('strip')).data.datasets.map(({data}) => data.map(({x, y}) => [x, y])));
+const drawn = (page) => page.evaluate(() => { const [xs, ...columns] = document.getElementById('strip').chart.values; return columns.map((ys) => ys.map((y, i) => [xs[i], y])); });
 
 step('the readings of one item are drawn, of the one that is chosen', async (page) => {
   await page.locator('#strip-item option').countIs(3);

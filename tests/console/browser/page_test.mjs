@@ -94,6 +94,14 @@ export function begin({pace = null, bench = BENCH, prepare = () => {}, serve = [
   });
 }
 
+// The place of the first value on the page, in parts of the height of the screen, and what it is.
+export const firstDatum = (page) => page.evaluate(() => {
+  const found = [...document.querySelectorAll('dd, tbody td, tbody th, progress, .verdict-word, #chart-words')]
+    .filter((element) => element.checkVisibility({visibilityProperty: true}) && element.textContent.trim() !== '–')
+    .map((element) => ({at: (element.getBoundingClientRect().top + scrollY) / innerHeight, is: element.id || element.textContent.slice(0, 30)}));
+  return found.sort((a, b) => a.at - b.at)[0] ?? null;
+});
+
 // The last step of each test program.
 export function complainsOfNothing() {
   assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !/^(blob|data):/.test(url)), []);
@@ -101,6 +109,21 @@ export function complainsOfNothing() {
 }
 
 export const pictureOf = (where, name) => where.screenshot({path: path.join(pictures, `${name}.png`)});
+
+// Pictures in high contrast, of a laptop and of a narrow screen; only Chromium can be told to.
+export async function contrastPictures(name, seen = () => {}) {
+  if (browserName !== 'chromium') return;
+  const session = await page.page.createCDPSession();
+  await session.send('Emulation.setEmulatedMedia', {features: [{name: 'forced-colors', value: 'active'}, {name: 'prefers-reduced-motion', value: 'reduce'}]});
+  await page.waitForFunction(() => matchMedia('(forced-colors: active)').matches && matchMedia('(prefers-reduced-motion: reduce)').matches);
+  await seen();
+  for (const [size, viewport] of Object.entries({desk: SIZES.desk, narrow: SIZES.narrow})) {
+    await page.setViewportSize(viewport);
+    await pictureOf(page, `contrast-${name}-${size}`);
+  }
+  await page.setViewportSize(SIZES.desk);
+  await session.send('Emulation.setEmulatedMedia', {features: []});
+}
 
 // The findings of axe on accessibility: names, order, contrast (WCAG 2.2 A and AA, good practice).
 // Or what one of its rules finds.
@@ -120,8 +143,8 @@ const english = () => served.page.evaluate(() => {
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) say(walker.currentNode.parentElement, walker.currentNode.data.replace(/\S+\.(run|toml)\b/g, ''));
   for (const name of ['aria-label', 'title']) for (const element of document.querySelectorAll(`[${name}]`)) say(element, element.getAttribute(name).replace(/\S+\.(run|toml)\b/g, ''));
-  for (const canvas of document.querySelectorAll('canvas'))
-    for (const axis of Object.values(Chart.getChart(canvas)?.options.scales ?? {})) say(canvas, axis.title.text);
+  for (const plot of document.querySelectorAll('.plot'))
+    for (const {label} of plot.chart?.plot.axes ?? []) say(plot, label);
   return found;
 });
 
@@ -197,17 +220,15 @@ async function unitless() {
 
 // Waits until the page has the size, its plots fill their places, and the colour scheme is the requested one.
 const settled = (viewport, colorScheme) => page.waitForFunction(([{width, height}, scheme]) => {
-  const fits = (canvas) => Math.abs((Chart.getChart(canvas)?.width ?? canvas.parentElement.clientWidth) - canvas.parentElement.clientWidth) <= 1;
+  const fits = (plot) => !plot.chart || plot.clientWidth < 120 || Math.abs(plot.chart.plot.width - plot.clientWidth) <= 1;
   return innerWidth === width && innerHeight === height && matchMedia(`(prefers-color-scheme: ${scheme})`).matches
-    && [...document.querySelectorAll('canvas')].every((canvas) => !canvas.checkVisibility() || fits(canvas));
+    && [...document.querySelectorAll('.plot')].every((plot) => !plot.checkVisibility() || fits(plot));
 }, [viewport, colorScheme]);
 
-// Lines of plots whose markers still have the colour of the previous scheme. (The login page has no plots.)
-const strangeMarkers = () => page.evaluate(() => Object.values(globalThis.Chart?.instances ?? {}).flatMap((chart) => chart.data.datasets
-  .filter((set, i) => {
-    const marker = chart.getDatasetMeta(i).data[0]?.options;
-    return marker && typeof set.pointBackgroundColor === 'string' && marker.backgroundColor !== set.pointBackgroundColor;
-  }).map((set) => `${chart.canvas.id}: ${set.label}`)));
+// Charts whose lines still have the colours of the previous scheme. (The login page has no charts.)
+const strangeColours = () => page.evaluate(() => [...document.querySelectorAll('.plot')].filter((place) => place.chart && place.checkVisibility()).flatMap(({chart}) => chart.series
+  .filter(({output, line}, i) => line && chart.values[i + 1].some((value) => value !== null) && chart.plot.series[i + 1]._stroke !== getComputedStyle(document.documentElement).getPropertyValue(`--${output}`).trim())
+  .map(({label}) => `${chart.holder.getAttribute('aria-label')}: ${label}`)));
 
 // At each size, light and dark: nothing overflows, is cut off or moves by itself, axe finds nothing, and a picture is kept. Axe
 // takes most of the time: it runs where the layout differs, and for colours only where only these differ.
@@ -225,7 +246,7 @@ export async function look(name) {
         assert.deepEqual(await runOver(), [], where);
         assert.equal(await page.evaluate(() => document.getAnimations().length), 0, `${where}: nothing moves by itself`);
         assert.deepEqual(await unitless(), [], where);
-        assert.deepEqual(await strangeMarkers(), [], where);
+        assert.deepEqual(await strangeColours(), [], where);
         if (colorScheme === 'dark' && size === 'desk') assert.deepEqual(await barriers(page, ['color-contrast']), [], where);
         else if (['desk', 'narrow'].includes(size)) assert.deepEqual(await barriers(), [], where);
       });

@@ -37,17 +37,22 @@ async function keep(name, {kept = [], whole = false} = {}) {
   await page.emulateMedia({'prefers-color-scheme': 'light'});
 }
 
+await page.locator('#ready-facts dd').first().waitFor();
 await keep('idle');
 await page.locator('#take-control').click();
 await served.press('#do-check');
 await page.locator('#checks table').waitFor();
-await keep('checked', {whole: true});
+await page.waitForTimeout(1500);  // Readiness is read again.
+await keep('checked', {kept: [['ready', SIZES.desk, 'light']], whole: true});
 await served.press('#do-start');
 await served.pressAt(100, 'do-hold');  // Long before the end of the run, as a busy machine is late.
 await served.stateIs(/^Held/);
 await page.locator('#note').fill('Door opened for a moment');
 await page.locator('#note').press('Enter');
 await keep('live', {kept: [['live', {width: 1366, height: 1060}, 'light'], ['phone', SIZES.phone, 'dark']], whole: true});
+await served.goTo('kiosk');
+await keep('wall', {kept: [['wall', SIZES.desk, 'light']]});
+await page.locator('#leave-kiosk').click();
 await page.locator('#do-continue').click();
 await keep('asks');
 await page.locator('#confirm-yes').click();
@@ -64,7 +69,20 @@ await page.locator('#run-table table').waitFor();
 await keep('runs');
 await page.locator('#run-table tbody a').first().click();
 await page.locator('#estimators').waitFor();
-await keep('result', {kept: [['result', {width: 1366, height: 1400}, 'light']], whole: true});
+await page.waitForFunction(() => document.querySelector('#residuals .plot')?.chart.values[0].length > 10);
+await keep('result', {kept: [['result', {width: 1366, height: 900}, 'light']], whole: true});
+// The residuals with the pointer on a point, whose readings are shown.
+await page.setViewportSize({width: 1366, height: 1100});
+const toResiduals = () => page.evaluate(() => scrollTo(0, document.getElementById('residuals').getBoundingClientRect().top + scrollY - 230));
+await toResiduals();
+const {x, y, width} = await (await page.locator('#residuals .plot').first().one('visible')).boundingBox();
+await page.mouse.click(x + width / 2, y + 90);
+await page.locator('#angle-readings .plot').waitFor();
+await page.waitForTimeout(400);
+await toResiduals();
+await page.mouse.move(x + width / 2 + 4, y + 90);
+await page.waitForTimeout(300);
+await page.screenshot({path: path.join(folder, everything ? 'residuals.png' : 'console-residuals.png')});
 await served.goTo('compare');
 await page.locator('#compare-form button').click();
 await page.locator('#compare-words').waitFor();

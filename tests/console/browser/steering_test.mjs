@@ -43,7 +43,7 @@ step('checks the bench', async (page) => {
 });
 
 step('starts a run, and points appear', async (page) => {
-  const more = await served.recorded('banner-more');
+  const limits = await served.recorded('limit');
   await page.locator('#do-start').click();
   await confirmDialog();
   await says('#left', /^about (\d+ min )?\d+ s$/);
@@ -51,30 +51,31 @@ step('starts a run, and points appear', async (page) => {
   await served.measuredAtLeast(5);  // Two check poses come first.
   await says('#run-file', /^bench-\d{8}T\d{6}Z\.run$/);
   // Plots are drawn a moment after the number has changed.
-  await page.waitForFunction(() => Chart.getChart(document.querySelector('#responses canvas')).data.datasets.slice(0, 3).every((set) => set.data.length >= 3));
-  await page.waitForFunction(() => Chart.getChart(document.getElementById('strip')).data.datasets.every((set) => set.data.length >= 2));
+  await page.waitForFunction(() => document.querySelector('#responses .plot').chart.values.slice(1, 4).every((ys) => ys.filter((y) => y !== null).length >= 3));
+  await page.waitForFunction(() => document.getElementById('strip').chart.values.every((ys) => ys.length >= 2));
   await says('#x-encoder', /^−?\d+\.\d{4}°$/);
   await says('#strip-table', /[+−]\d\.\d{6} g/);
   await stateIs(/^Held/);
-  const limits = (await more()).filter((words) => words.startsWith('Limit: '));
-  assert.ok(limits.length > 0, 'the limits of the phases are shown');
-  for (const words of limits) assert.match(words, /^Limit: (?!0 s)[\d.]+ .* of simulated time /);
+  const shown = (await limits()).filter((words) => words !== '–');
+  assert.ok(shown.length > 0, 'the limits of the phases are shown');
+  for (const words of shown) assert.match(words, /^(?!0 s)[\d.]+ .* of simulated time /);
 });
 
 step('shows a part of a plot, by keyboard and pointer, and no label is over another', async (page) => {
-  const plots = await page.evaluate(() => [...document.querySelectorAll('#view-live canvas')].map((canvas) => {
-    const {scales: {y}, ctx, legend} = Chart.getChart(canvas);
-    ctx.font = '12px "Helvetica Neue", Helvetica, Arial, sans-serif';
-    const widest = Math.max(...y.ticks.map(({label}) => ctx.measureText(label).width)), title = y.options.title.text ? 20 : 0;
-    return {place: legend.options.labels.pointStyleWidth, room: y.width - widest - title, samples: legend.legendItems.map(({pointStyle}) => String(pointStyle))};
+  const plots = await page.evaluate(() => [...document.querySelectorAll('#view-live .plot')].map(({chart: {plot}}) => {
+    const [, y] = plot.axes, brush = plot.ctx;
+    brush.save();
+    brush.font = y.font[0];
+    const widest = Math.max(...y._values.map((words) => brush.measureText(words).width)) / devicePixelRatio;
+    brush.restore();
+    return {room: y._size - widest - y.ticks.size - y.gap, legend: [...plot.root.querySelectorAll('.u-series:not([hidden]) th')].map((head) => head.textContent)};
   }));
-  assert.equal(plots.length, 7);
+  assert.equal(plots.length, 8);
   for (const {room} of plots) assert.ok(room >= 0, JSON.stringify(plots));
-  for (const {place} of plots) assert.ok(place >= 34, 'samples of the legend are not over their letters');
-  for (const i of [0, 1, 3, 5]) assert.deepEqual(plots[i].samples.slice(0, 3), Array(3).fill('[object HTMLCanvasElement]'), 'dashes, and markers');
-  const range = () => page.evaluate(() => { const {min, max} = Chart.getChart(document.querySelector('#responses canvas')).scales.x; return [min, max]; });
+  assert.deepEqual(plots[1].legend.slice(1), ['● u', '▲ v', '■ w'], 'outputs have markers of their own');
+  const range = () => page.evaluate(() => document.querySelector('#responses .plot').chart.shownX);
   const rangeIs = (expected) => eventually(async () => assert.deepEqual(await range(), expected));
-  const canvas = page.locator('#responses canvas').first();
+  const canvas = page.locator('#responses .plot').first();
   await canvas.press('+');
   await rangeIs([90, 270]);
   await canvas.press('ArrowRight');
@@ -83,6 +84,7 @@ step('shows a part of a plot, by keyboard and pointer, and no label is over anot
   await rangeIs([22.5, 360]);
   await canvas.press('0');
   await rangeIs([0, 360]);
+  await page.evaluate(() => document.querySelector('#responses .plot').scrollIntoView({block: 'center'}));  // The pointer does not scroll.
   const box = await (await canvas.one('visible')).boundingBox();
   await page.mouse.move(box.x + box.width * 0.5, box.y + box.height / 2);
   await page.mouse.down();

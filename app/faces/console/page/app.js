@@ -1,10 +1,14 @@
-import {byId, duration, element, small} from '/text.js';
+import {byId, element} from '/text.js';
 import {said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
+import {offerBenches, showBenches} from '/benches.js';
 import {withoutMissing} from '/items.js';
+import {JogForm} from '/jog.js';
 import {LiveView} from '/live.js';
 import {endMaking} from '/making.js';
+import {Notifier} from '/notify.js';
 import {QueueView} from '/queue.js';
+import {Readiness} from '/readiness.js';
 import {StartForm} from '/start.js';
 import {stateOf} from '/state.js';
 import {ask as send, attach, axes, connected, contact, showBanner, UNCONFIRMED_AFTER_MS} from '/stop.js';
@@ -16,6 +20,7 @@ import {showChart, showCompare, showRun, showRuns, statesMayHaveChanged} from '/
 
 translate();
 const live = new LiveView();
+const notifier = new Notifier();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
 let hadControl = false, answered = false;  // answered: the text in #reply expires with the connection.
 const USE_THE_SWITCH = t('use the switch on the stage');
@@ -53,6 +58,7 @@ function receive(message) {
   if (message.type === 'bench') bench = message;
   const before = live.activity?.activity;
   live.receive(message);
+  notifier.receive(message);
   if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before)) statesMayHaveChanged(resume);
   for (const view of dayViews) view.receive(message);
   if (OFTEN.has(message.type)) showSoon(); else show();
@@ -76,39 +82,74 @@ function show() {
   byId('link').textContent = there ? t('Connected') : t('No contact');
   const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench, axes: axes()});
   const {measured, total} = live.progress ?? {};
-  showBanner(state, {limit: state.limit ? limitIn(state.limit) : '', count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
+  showBanner(state, {situation: Boolean(live.run), count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
   offer(there);
 }
 
-// How long a phase may last. In simulated time that differs from the real time that a person sees pass.
-function limitIn({seconds, simulated, words}) {
-  const time = seconds < 1 ? small(seconds, 's') : duration(seconds);
-  return simulated ? t`Limit: ${time} of simulated time ${t(words)}.` : t`Limit: ${time} ${t(words)}.`;
-}
-
-// Enables the buttons whose requests are possible now.
+// Offers the requests that are possible now. Buttons of another activity are hidden; others that cannot be used say why. One button
+// is the next step, and looks so.
 function offer(there) {
   const steer = there && me !== null && steering.page === me;
   const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
-  const set = (id, possible) => { byId(id).disabled = !possible; };
-  const other = steering.page !== null && steering.page !== me;
+  const other = steering.page !== null && steering.page !== me, idle = what === 'idle', running = what === 'running';
+  const held = running && activity.hold_asked;
+  byId('try-demo').disabled = !there || me === null || !maySteer || other || !idle;
   byId('take-control').textContent = steer ? t('Release control') : other ? t('Take control from the other page') : t('Take control');
-  byId('who-steers').textContent = (other ? (steering.silent ? t`${steering.who} steers, and does not answer.` : t`${steering.who} steers.`) : '')
-    + (maySteer ? '' : t(' You may watch and stop; steering needs the right to measure.'));
-  set('take-control', there && me !== null && maySteer);
-  for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
-  set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
-  set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
-  const mayResume = steer && what === 'idle';
-  for (const view of dayViews) view.offer(steer, what === 'idle');
+  const offered = {
+    'take-control': [there && me !== null && maySteer, true],
+    'do-check': [steer && idle, !running], 'do-start': [steer && idle, !running], 'do-jog': [steer && idle, true],
+    'do-hold': [steer && running && !activity.hold_asked && !activity.stop_asked, running && !held],
+    'do-continue': [steer && held && !activity.stop_asked, held],
+  };
+  const next = byId(nextStep(there, steer, idle, held));
+  for (const [id, [possible, shown]] of Object.entries(offered)) {
+    byId(id).hidden = !shown;
+    byId(id).disabled = !possible;
+  }
+  for (const button of document.querySelectorAll('.next-step')) if (button !== next) button.classList.remove('next-step');
+  next?.classList.add('next-step');
+  offerHandOver(there);
+  const steers = other ? (steering.silent ? t`${steering.who} steers, and does not answer.` : t`${steering.who} steers.`) : '';
+  const why = !there ? t('The buttons need contact with the console.')
+    : !maySteer ? [steers, t('You may watch and stop; steering needs the right to measure.')].filter(Boolean).join(' ')
+      : steers || (!steer ? t('The other buttons need control.')
+        : activity.stop_asked ? t('The other buttons wait until the stage is halted.')
+          : !idle && !running ? t('The other buttons wait until this is done.') : '');
+  if (byId('who-steers').textContent !== why) byId('who-steers').textContent = why;
+  const mayResume = steer && idle;
+  for (const view of dayViews) view.offer(steer, idle);
   document.body.classList.toggle('may-resume', mayResume);
+  byId('acknowledge').disabled = !mayResume;
   for (const button of document.querySelectorAll('button.resume')) button.disabled = !mayResume;
-  for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
+  for (const control of byId('note-form').elements) control.disabled = !(steer && running);
+}
+
+// Who watches, and who asks for control.
+function offerHandOver(there) {
+  const {page, asks = null, watch = []} = steering, others = watch.filter((one) => one.page !== me);
+  const isMine = there && page !== null && page === me && asks !== null;
+  byId('asks-control').hidden = !isMine;
+  const words = isMine ? t`${asks.who} asks for control.` : '';
+  if (byId('asks-words').textContent !== words) byId('asks-words').textContent = words;
+  byId('ask-control').hidden = !there || !maySteer || page === null || page === me;
+  byId('ask-control').disabled = asks !== null;
+  byId('ask-control').textContent = asks?.page === me ? t('Asked for control') : t('Ask for control');
+  const names = others.map(({who}) => who).join('; '), watching = there && names ? t`Also on this bench: ${names}.` : '';
+  if (byId('who-watches').textContent !== watching) byId('who-watches').textContent = watching;
+}
+
+// The button of the next step; empty: there is none, or another page takes it.
+function nextStep(there, steer, idle, held) {
+  if (!there || me === null || !maySteer) return '';
+  if (idle && readiness.offersDemo && (steer || steering.page === null)) return 'try-demo';
+  if (!steer) return steering.page === null ? 'take-control' : '';
+  if (idle) return live.interrupted ? 'resume-interrupted' : readiness.needsCheck ? 'do-check' : 'do-start';
+  return held ? 'do-continue' : '';
 }
 
 // Sends a request, and shows its state: sent, done, refused, or not confirmed. A request that takes time is accepted when it has
 // begun; the banner shows its progress.
-const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
+const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'acknowledge', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
 async function ask(name, request, {moves = true} = {}) {
   const say = (words) => { byId('reply').textContent = `${name}: ${words}`; answered = false; };
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
@@ -147,7 +188,12 @@ function confirmed(title, text, yes, more = null) {
 
 const CLEAR = t('Is the stage free to turn, and is everybody clear of it?');
 const page = {ask, confirmed, clear: CLEAR, pace: () => live.about?.pace ?? 1};
-dayViews = [new QueueView(page), new BenchView(page)];
+const readiness = new Readiness(async () => {
+  if (steering.page !== me && !(await ask(t('Control'), {do: 'control'}, {moves: false}))) return;
+  for (let i = 0; i < 40 && byId('do-start').disabled; ++i) await new Promise((done) => setTimeout(done, 50));  // The bench tells who steers.
+  byId('do-start').click();
+});
+dayViews = [new QueueView(page), new BenchView(page), new JogForm(page), readiness];
 byId('take-control').addEventListener('click', async () => {
   const control = (more) => ask(t('Control'), {do: 'control', ...more}, {moves: false});
   if (steering.page !== null && steering.page === me) {
@@ -158,6 +204,10 @@ byId('take-control').addEventListener('click', async () => {
   if (await confirmed(t('Take control from the other page?'), t`${steering.who} steers this bench. That page will then only watch, and is told who took over.`, t('Take control')))
     await control({from_another: true});
 });
+const answerControl = (key) => () => ask(t('Control'), {do: 'control', [key]: steering.asks?.page ?? 0}, {moves: false});
+byId('hand-over').addEventListener('click', answerControl('hand_over_to'));
+byId('not-now').addEventListener('click', answerControl('not_to'));
+byId('ask-control').addEventListener('click', () => ask(t('Control'), {do: 'control', ask: true}, {moves: false}));
 byId('do-check').addEventListener('click', async () => {
   if (await confirmed(t('Check the bench?'), t`Both instruments are identified, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, t('Check, and turn the stage')))
     await ask(t('Check'), {do: 'check', with_motion: true, confirmed: true});
@@ -176,12 +226,6 @@ byId('note-form').addEventListener('submit', async (event) => {
   event.preventDefault();
   if (await ask(t('Note'), {do: 'note', text: byId('note').value}, {moves: false})) byId('note').value = '';
 });
-byId('jog-form').addEventListener('submit', async (event) => {
-  event.preventDefault();
-  const axis = byId('jog-axis').value, by = Number(byId('jog-by').value);
-  if (await confirmed(t`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, t`It is homed first if it is not homed. ${CLEAR}`, t('Turn the stage')))
-    await ask(t('Jog'), {do: 'jog', axis, by_deg: by, confirmed: true});
-});
 
 // Resumes a run. If all its angles are measured, it is only analysed and nothing moves. items: number that still takes part.
 async function resume(run, measured, items) {
@@ -195,6 +239,8 @@ byId('resume-interrupted').addEventListener('click', () => {
   resume(file, measured === planned, items);
 });
 
+byId('acknowledge').addEventListener('click', () => ask(t('Acknowledge'), {do: 'acknowledge', run: live.interrupted.file}, {moves: false}));
+
 // The decoded parts of the address after "#"; none if it cannot be decoded, e.g. "#runs/%E0%A4%A".
 function partsOfAddress() {
   try {
@@ -204,22 +250,24 @@ function partsOfAddress() {
   }
 }
 
-const VIEWS = ['live', 'queue', 'bench', 'runs', 'compare', 'chart'];
+const VIEWS = ['live', 'queue', 'bench', 'runs', 'benches', 'compare', 'chart', 'life'];
 function route() {
   endMaking();
   const [view, ...rest] = partsOfAddress();
-  const kiosk = view === 'kiosk', known = kiosk || view === '' || VIEWS.includes(view);
-  const name = VIEWS.includes(view) ? view : 'live';
+  const kiosk = view === 'kiosk', known = kiosk || view === '' || (VIEWS.includes(view) && (view !== 'life' || ['item', 'bench'].includes(rest[0])));
+  const name = known && view && !kiosk ? view : 'live';
   document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
   byId('unknown-address').textContent = known ? '' : t`This page has no view with the address ${location.hash}. It shows the view Live.`;
-  for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name}`;
+  for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name === 'life' ? 'runs' : name}`;
   for (const a of document.querySelectorAll('nav a')) {
     if (a.hash === `#${name}` && !kiosk) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');
   }
-  if (name === 'runs') rest.length ? showRun(rest[0], rest[1]) : showRuns(resume);
-  if (name === 'compare') showCompare();
-  if (name === 'chart') showChart();
+  if (name === 'runs') rest.length ? showRun(rest[0], rest[1], rest[2]) : showRuns(resume);
+  if (name === 'compare') showCompare(rest[0], rest[1]);
+  if (name === 'benches') showBenches();
+  if (name === 'life') showRuns(resume, {[rest[0]]: rest[1] ?? ''});
+  if (name === 'chart') showChart(rest[0], rest[1]);
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
 // The link to the content stays on the view that is shown: #main is not the address of a view.
@@ -230,4 +278,5 @@ keepFocus(byId('top'));
 readyForPaper();
 show();
 attach({receive, contact: contactMayHaveChanged});
+offerBenches();
 route();

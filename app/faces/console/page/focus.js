@@ -16,6 +16,8 @@ function keep() {
 
 export function keepFocus(banner) {
   addEventListener('focusin', ({target}) => {
+    // A browser takes a half visible link of the row for visible enough.
+    if (target.closest('header')) target.scrollIntoView({block: 'nearest', inline: 'nearest'});
     around = [];
     for (let at = target; at && at !== document.documentElement; at = at.parentElement) around.push(at);
   });

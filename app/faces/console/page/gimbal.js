@@ -27,18 +27,38 @@ const FACES = [
 const aboutX = (a) => ([x, y, z]) => [x, y * Math.cos(a) - z * Math.sin(a), y * Math.sin(a) + z * Math.cos(a)];
 const aboutZ = (a) => ([x, y, z]) => [x * Math.cos(a) - y * Math.sin(a), x * Math.sin(a) + y * Math.cos(a), z];
 
-export function drawGimbal(xDeg, zDeg) {
+// The outputs of an item that is mounted as the bench file states by default: u along x of the platter, v along y, w along z.
+const OUTPUT_AXES = {u: [1, 0, 0], v: [0, 1, 0], w: [0, 0, 1]}, REACH = 46;
+
+// The rim of the platter and its mark at the target.
+function ghostOf({x, z}) {
+  const outer = aboutX(x * Math.PI / 180), turn = aboutZ(z * Math.PI / 180);
+  return `${path(circle(PLATTER).map((p) => outer(turn(p))))} ${path([[HALF, 0, 0], [PLATTER, 0, 0]].map((p) => outer(turn(p))), false)}`;
+}
+
+// target: the commanded angles, drawn as a ghost while the stage is not there; null: not known. picture: the SVG.
+export function drawGimbal(xDeg, zDeg, target = null, picture = byId('gimbal')) {
+  const part = (name) => picture.querySelector(`.${name}`);
   const outer = aboutX(xDeg * Math.PI / 180), turn = aboutZ(zDeg * Math.PI / 180);
   const inner = (p) => outer(turn(p));
-  const draw = (id, points, close) => byId(id).setAttribute('d', path(points, close));
-  draw('gimbal-frame', [[-98, 0, 0], [-98, 0, -84], [98, 0, -84], [98, 0, 0]], false);
-  draw('gimbal-axis', [[-112, 0, 0], [112, 0, 0]], false);
-  draw('gimbal-ring', circle(RING).map(outer));
-  draw('gimbal-platter', circle(PLATTER).map(inner));
-  draw('gimbal-mark', [[HALF, 0, 0], [PLATTER, 0, 0]].map(inner), false);
+  const draw = (name, points, close) => part(name).setAttribute('d', path(points, close));
+  draw('frame', [[-98, 0, 0], [-98, 0, -84], [98, 0, -84], [98, 0, 0]], false);
+  draw('axis', [[-112, 0, 0], [112, 0, 0]], false);
+  draw('outer', circle(RING).map(outer));
+  draw('platter', circle(PLATTER).map(inner));
+  draw('mark', [[HALF, 0, 0], [PLATTER, 0, 0]].map(inner), false);
+  const goal = target && Math.max(Math.abs(target.x - xDeg), Math.abs(target.z - zDeg)) > 0.5 ? target : null;
+  part('ghost').setAttribute('d', goal ? ghostOf(goal) : '');
   // Draws only those faces of the item, a cube, that face the viewer.
   const seen = FACES.filter(([normal]) => dot(inner(normal), TO_EYE) > 0);
-  byId('gimbal-item').setAttribute('d', seen.map(([, corners]) => path(corners.map(inner))).join(' '));
+  part('item').setAttribute('d', seen.map(([, corners]) => path(corners.map(inner))).join(' '));
+  for (const [output, along] of Object.entries(OUTPUT_AXES)) {
+    const at = (reach) => inner(along.map((part, i) => part * reach + (i === 2 ? HEIGHT / 2 : 0)));
+    draw(`output-${output}`, [at(0), at(REACH)], false);
+    const [x, y] = screen(at(REACH + 8)).split(' '), label = part(`label-${output}`);
+    label.setAttribute('x', x);
+    label.setAttribute('y', y);
+  }
   // If the item is on the far side of the platter, it is seen through the platter.
-  byId('gimbal-item').classList.toggle('behind', dot(outer([0, 0, 1]), TO_EYE) < 0);
+  part('item').classList.toggle('behind', dot(outer([0, 0, 1]), TO_EYE) < 0);
 }

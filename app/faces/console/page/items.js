@@ -1,6 +1,7 @@
 // A card for each of several items: its identity, how many angles are measured, and why it was left out.
 import {element, number, signed, DASH} from '/text.js';
 import {said} from '/said.js';
+import {VERDICTS, VERDICT_SIGNS} from '/answer.js';
 import {OUTPUTS} from '/plots.js';
 import {t} from '/language.js';
 
@@ -30,9 +31,11 @@ export function withoutMissing(id) {
 export function resultItems(run, shown) {
   const card = (item) => {
     const made = itemCard({...item, name: item.serial_number}, run.planned || null,
+      ...(item.verdict && item.dropped === null ? [element('p', {class: `mark-${item.verdict}`}, `${VERDICT_SIGNS[item.verdict]} ${VERDICTS[item.verdict]}`)] : []),
       element('p', {}, element('a', {href: `#runs/${encodeURIComponent(run.name)}/${item.k}`, 'aria-current': item.k === shown ? 'page' : false}, t`Result of item ${item.k}`)));
     if (item.k === shown) made.classList.add('shown');
     return made;
   };
-  return element('div', {id: 'result-items', role: 'navigation', 'aria-label': t('Items of this run'), class: 'no-print'}, element('ul', {class: 'items'}, ...run.items.map(card)));
+  // The cards stand below no other heading but the hidden one of the view.
+  return element('div', {id: 'result-items', role: 'navigation', 'aria-label': t('Items of this run'), class: 'no-print'}, element('h3', {class: 'visually-hidden'}, t('Items of this run')), element('ul', {class: 'items'}, ...run.items.map(card)));
 }

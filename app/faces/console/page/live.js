@@ -3,8 +3,10 @@ import {byId, degrees, duration, element, number, signed, small, table, DASH} fr
 import {said} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
 import {liveItem} from '/items.js';
-import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
+import {Chart, OUTPUTS, outputSeries, place, quarters} from '/plots.js';
+import {plottedAngle, residualChart, showResiduals} from '/residuals.js';
 import {PagedTable} from '/pages.js';
+import {limitWords, phaseWords} from '/state.js';
 import {angleIn, operatorIn, rolesIn, t} from '/language.js';
 import {Strip} from '/strip.js';
 import {timeElement} from '/time.js';
@@ -46,18 +48,15 @@ export class LiveView {
     const about = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
     byId('responses').replaceChildren();
     this.charts = about.map((words, i) => {
-      const response = element('canvas', {role: 'img', 'aria-label': t`Response of experiment ${i + 1} against angle; the table below has the numbers`});
-      const residual = element('canvas', {role: 'img', 'aria-label': t`Residuals of experiment ${i + 1}; the table below has the numbers`});
-      byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`),
-        element('div', {class: 'plot'}, response), element('div', {class: 'plot small'}, residual)));
-      const group = {}, turn = {min: 0, max: 360, ticks: {stepSize: 90}};
+      const response = place(), residual = place('small'), turn = {words: t('angle (degrees)'), whole: [0, 360], splits: quarters}, sync = 'live by angle';
+      byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`), response, residual));
       return {
-        response: plot(response, {x: t('angle (degrees)'), y: t('output'), xRange: turn, group,
-          datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
-        residual: plot(residual, {x: t('angle (degrees)'), y: t('residual'), xRange: turn, group, legend: false,
-          datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
+        response: new Chart(response, {name: t`Response of experiment ${i + 1} against angle; the table below has the numbers`, x: turn, y: t('output'), sync,
+          series: [...outputSeries(), ...OUTPUTS.map((output) => ({output, label: '', line: true}))]}),
+        residual: residualChart(residual, {name: t`Residuals of experiment ${i + 1}; the table below has the numbers`, x: turn, sync}),
       };
     });
+    this.byTime = residualChart(byId('residuals-by-time'), {name: t('Residuals against time; the table below has the numbers'), x: {words: t('time since the run began (min)')}});
   }
 
   snapshot(message) {
@@ -101,6 +100,7 @@ export class LiveView {
 
   responsesChange() {
     for (const n of [1, 2, 3]) this.dirty.add(`response ${n}`).add(`residual ${n}`);
+    this.dirty.add('time');
   }
 
   receive(message) {
@@ -140,11 +140,12 @@ export class LiveView {
         this.itemsChange();
         if (message.fit.experiment > 0) {  // A check pose belongs to no experiment.
           this.fits[message.fit.experiment - 1] = message.fit.outputs;
-          this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
+          this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`).add('time');
         }
         break;
       }
       case 'checks': this.checks(message.findings); break;
+      case 'acknowledged': this.interrupted = message.interrupted; this.words(); break;
       case 'finished': this.ended = endOf(message); this.interrupted = message.interrupted; this.words(); break;
     }
     this.tell();
@@ -197,8 +198,11 @@ export class LiveView {
     const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
       ? `${held ? t('next: ') : ''}${planned.check ? t`check pose ${planned.n}`
-        : planned.face === 2 ? t`experiment ${planned.experiment}, face 2, ${number(planned.alpha_deg, 1)} degrees`
-          : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)} degrees`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
+        : planned.face === 2 ? t`experiment ${planned.experiment}, face 2, ${number(planned.alpha_deg, 1)}°`
+          : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)}°`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
+    const brief = what === 'running' ? phaseWords(this.phase) : '';
+    if (byId('phase').textContent !== brief) byId('phase').textContent = brief;
+    byId('limit').textContent = (what === 'running' && limitWords(this.phase)) || DASH;
     this.settling();
     this.offerInterrupted();
   }
@@ -208,6 +212,8 @@ export class LiveView {
     const run = this.interrupted;
     byId('interrupted').hidden = !run || this.activity.activity !== 'idle';
     if (!run) return;
+    byId('acknowledge').hidden = Boolean(run.acknowledged_by);
+    byId('acknowledged').replaceChildren(...(run.acknowledged_by ? [t('Acknowledged by '), run.acknowledged_by, ', ', timeElement(run.acknowledged_utc, 'clock')] : [t('Nobody has acknowledged it yet.')]));
     const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
       ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
@@ -255,7 +261,7 @@ export class LiveView {
       byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
       byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
     }
-    drawGimbal(x.encoder_deg ?? 0, z.encoder_deg ?? 0);
+    drawGimbal(x.encoder_deg ?? 0, z.encoder_deg ?? 0, Number.isFinite(x.target_deg) && Number.isFinite(z.target_deg) ? {x: x.target_deg, z: z.target_deg} : null);
     byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
   }
 
@@ -290,6 +296,7 @@ export class LiveView {
     if (part === 'strip') this.strip.draw();
     const [plotted, experiment] = part.split(' ');
     if (experiment) this.drawExperiment(plotted, Number(experiment) - 1);
+    if (part === 'time') this.drawByTime();
     if (part === 'table') this.drawTable();
     if (part === 'items') this.drawItems();
   }
@@ -310,31 +317,36 @@ export class LiveView {
     return fit.constant + fit.sine * Math.sin(a) + fit.cosine * Math.cos(a);
   }
 
-  // The angle at which the item sees the same gravity in face 1.
-  plottedAngle(d) {
-    if (d.face !== 2) return d.alpha_deg;
-    const angle = d.experiment === 3 ? d.alpha_deg + 180 : -d.alpha_deg;
-    return angle - 360 * Math.floor(angle / 360);
+  // The angles of experiment i (null: of all) with their residuals.
+  entries(i) {
+    return this.ofResponding().filter((d) => d.experiment > 0 && (i === null || d.experiment === i + 1)).map((d) => {
+      const x = plottedAngle(d), fits = this.fits[d.experiment - 1];
+      return {x, mean: d.mean, u: d.u_mean ?? null, time_s: d.time_s, flagged: Boolean(d.flags), residual: fits ? fits.map((fit, j) => (fit && d.mean[j] !== null ? d.mean[j] - this.fitted(fit, x) : null)) : null};
+    });
   }
 
   // The response of experiment i, or its residual.
   drawExperiment(plotted, i) {
-    const chart = this.charts[i][plotted];
-    const dwells = this.ofResponding().filter((d) => d.experiment === i + 1)
-      .map((d) => ({mean: d.mean, x: this.plottedAngle(d)})).sort((a, b) => a.x - b.x);
-    const fits = dwells.length ? this.fits[i] : null;
-    if (this.unit) chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
-    OUTPUTS.forEach((name, j) => {
-      const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
-      points.pointRadius = pointRadius(dwells);
-      if (plotted === 'residual') {
-        points.data = fit ? dwells.map((d) => ({x: d.x, y: d.mean[j] - this.fitted(fit, d.x)})) : [];
-      } else {
-        points.data = dwells.map((d) => ({x: d.x, y: d.mean[j]}));
-        chart.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
-      }
-    });
-    chart.update('none');
+    const chart = this.charts[i][plotted], dwells = this.entries(i).sort((a, b) => a.x - b.x);
+    if (plotted === 'residual') return showResiduals(chart, dwells, {unit: this.unit, at: ({x}) => x});
+    const fits = dwells.length ? this.fits[i] : null, byX = new Map();
+    for (let x = 0; fits && x <= 360; x += 5) byX.set(x, null);
+    // Angles at one place, e.g. of both faces, stand beside each other.
+    const xs = [...[...byX.keys()].map((x) => ({x, dwell: null})), ...dwells.map((dwell) => ({x: dwell.x, dwell}))].sort((a, b) => a.x - b.x);
+    chart.unit = this.unit;
+    chart.show(xs.map(({x}) => x), [...OUTPUTS.map((_, j) => xs.map(({dwell}) => dwell?.mean[j] ?? null)), ...OUTPUTS.map((_, j) => xs.map(({x}) => (fits?.[j] ? this.fitted(fits[j], x) : null)))],
+      {bars: OUTPUTS.map((_, j) => xs.map(({dwell}) => dwell?.u?.[j] ?? 0)), rings: xs.flatMap(({dwell}, k) => (dwell?.flagged ? [k] : [])), y: t`output (${this.unit})`});
+  }
+
+  drawByTime() {
+    showResiduals(this.byTime, this.entries(null), {unit: this.unit, at: ({time_s: s}) => (Number.isFinite(s) ? s / 60 : NaN)});
+  }
+
+  // The number of flagged angles leads to them, and from there to their readings.
+  showFlagged(count) {
+    const words = this.run ? String(count) : DASH, name = this.run?.file.split('/').at(-1);
+    if (byId('flagged').textContent === words) return;
+    byId('flagged').replaceChildren(count && name ? element('a', {href: `#runs/${encodeURIComponent(name)}/${this.responding}/flags`}, words) : words);
   }
 
   makeTable() {
@@ -356,7 +368,9 @@ export class LiveView {
   drawTable() {
     const flagged = [...this.dwells.values()].filter((d) => d.flags);
     const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
-    byId('flagged').textContent = this.run ? t`${flagged.length} of ${this.dwells.size}` + (flags && `: ${flags}`) : DASH;
+    this.showFlagged(flagged.length);
+    byId('flagged').classList.toggle('some', flagged.length > 0);
+    byId('flags').textContent = flags || (this.run ? t('none') : DASH);
     if (this.tableIsSeen()) this.table.show(this.ofResponding().length);
   }
 }

@@ -1,140 +1,275 @@
+// Charts of values over a long axis: points with bars of ±2 u, lines, a band, marks. A chart is drawn by uPlot; this module adds what
+// a metrologist asks of it: the digits that the uncertainty allows, residual and z under the pointer, and zoom in x and y.
+import uPlot from '/uplot.js';
+import {decimals, element, signed, DASH} from '/text.js';
 import {t} from '/language.js';
-import {offerZoom, shade} from '/zoom.js';
+import {offerZoom} from '/zoom.js';
 
-// Chart.js (a global of chart.js) with the colours of the style sheet, also after a change between light and dark.
 const palette = {};
 const made = new Set();
 
 export const OUTPUTS = ['u', 'v', 'w'];
-const POINTS = ['circle', 'triangle', 'rect'];  // Outputs do not differ by colour alone.
-const DASHES = [[], [6, 3], [2, 2]];
+const GLYPHS = ['●', '▲', '■'];  // Outputs do not differ by colour alone,
+const DASHES = [[], [6, 3], [2, 2]];  // nor do their lines.
+const LEFT = 64;  // px for the numbers of the y axis, in all charts, so that charts below each other are aligned.
 
 function readPalette() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ['dim', 'line', 'bad', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
+  for (const name of ['dim', 'line', 'bad', 'text', 'band', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
 }
 readPalette();
-// Draws all plots again, with the present colours of the style sheet.
+// Draws all charts again, with the present colours of the style sheet.
 export function repaint() {
   readPalette();
-  for (const chart of made) {
-    for (const set of chart.data.datasets) {
-      for (const [name, colour] of Object.entries(coloursOf(set.output))) if (typeof set[name] !== 'function') set[name] = colour;
+  for (const chart of made) chart.paint();
+}
+for (const query of ['(prefers-color-scheme: dark)', '(forced-colors: active)']) matchMedia(query).addEventListener('change', repaint);
+const colourOf = (output) => palette[output] ?? palette.dim;
+
+// "+12.3e−6": the digits that u allows; below 1e-3 as a multiple of a power of 1000.
+export function withDigits(value, u, unit = '') {
+  if (!Number.isFinite(value)) return DASH;
+  const size = Math.max(Math.abs(value), Number.isFinite(u) ? u : 0), uncertain = Number.isFinite(u) && u > 0 ? u : Math.abs(value) * 1e-3;
+  const power = size > 0 && size < 1e-3 ? 3 * Math.floor(Math.log10(size) / 3) : 0;
+  return `${signed(value / 10 ** power, Math.min(decimals(uncertain / 10 ** power), 9))}${power ? `e−${-power}` : ''}${unit && ` ${unit}`}`;
+}
+
+// Numbers of an axis: "4.0e−5" where all are small.
+function tickWords(splits) {
+  const largest = Math.max(...splits.map(Math.abs)), step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : largest;
+  let fixed = 0;
+  while (fixed < 9 && Math.abs(Math.round(step * 10 ** fixed) - step * 10 ** fixed) > 1e-6 * step * 10 ** fixed) ++fixed;  // 2.5 has one decimal.
+  return splits.map((value) => (largest >= 1e-3 ? value.toFixed(fixed) : value === 0 ? '0' : value.toExponential(1)).replaceAll('-', '−'));
+}
+
+const axis = (words, more) => ({label: words, labelSize: 20, labelGap: 0, font: '12px system-ui, sans-serif', labelFont: '12px system-ui, sans-serif',
+  stroke: () => palette.dim, labelStroke: () => palette.dim, grid: {stroke: () => palette.line, width: 1}, ticks: {stroke: () => palette.line, width: 1, size: 4}, gap: 3, ...more});
+
+const SHAPES = [
+  (brush, x, y, r) => brush.arc(x, y, r, 0, 2 * Math.PI),
+  (brush, x, y, r) => { brush.moveTo(x, y - 1.2 * r); brush.lineTo(x + 1.1 * r, y + 0.9 * r); brush.lineTo(x - 1.1 * r, y + 0.9 * r); brush.closePath(); },
+  (brush, x, y, r) => brush.rect(x - 0.9 * r, y - 0.9 * r, 1.8 * r, 1.8 * r),
+];
+
+// A chart in `holder`. series: [{output, label, points, line}]; x: {words, whole: [from, to], splits}; y: the words of its axis.
+// say(value, k, i): the words of value i of series k, under the pointer; sync: charts of one name share the crosshair;
+// picked(i): a point was clicked.
+export class Chart {
+  constructor(holder, {name, x, y, series, say = null, sync = null, picked = null, legend = true}) {
+    Object.assign(this, {holder, series, x, whole: x.whole ?? null, unit: '', yZoom: null, xZoom: null, say, picked});
+    this.bars = null;     // u of each point, by series.
+    this.band = null;     // {x, u}: drawn from −2 u to +2 u.
+    this.levels = [];     // {y, words, dash}: horizontal lines.
+    this.marks = [];      // {x, words}: vertical lines.
+    this.rings = new Set();  // Points with a ring.
+    holder.classList.add('plot');
+    holder.setAttribute('role', 'img');
+    holder.setAttribute('aria-label', name);
+    holder.chart = this;
+    this.values = [[], ...series.map(() => [])];
+    this.xSplits = x.splits;
+    this.plot = new uPlot({
+      ...this.room(),
+      legend: {show: legend, markers: {width: 0}},
+      cursor: {points: {size: 9}, hover: {skip: [null]}, drag: {x: true, y: true, uni: 25, dist: 8}, focus: {prox: 30},
+        bind: {dblclick: () => () => { this.all(); return null; }}, ...(sync && {sync: {key: sync, scales: ['x', null], setSeries: false}})},
+      focus: {alpha: 1},
+      scales: {
+        x: {time: false, auto: () => this.xZoom === null, range: (_, min, max) => this.xZoom ?? this.whole ?? (min === null ? [0, 1] : min === max ? [min - 1, max + 1] : [min, max])},
+        y: {range: (_, min, max) => this.yZoom ?? this.yRange(min, max)},
+      },
+      axes: [axis(x.words, {size: 24, splits: (plot, i, min, max, step) => this.xSplits?.(min, max) ?? defaultSplits(min, max, step), values: x.values ?? ((_, splits) => tickWords(splits))}),
+        axis(y, {size: LEFT, values: (_, splits) => tickWords(splits), label: y})],
+      series: [{label: t('at'), value: (_, value) => this.xWords(value)}, ...series.map((one, k) => {
+        const at = Math.max(0, OUTPUTS.indexOf(one.output));
+        return {label: one.label === '' ? '\u00a0' : `${one.points ? `${GLYPHS[at]} ` : ''}${one.label}`, stroke: () => (one.line ? colourOf(one.output) : 'transparent'), width: one.line ? 1.6 : 0, dash: one.dash ?? DASHES[at],
+          spanGaps: true, points: {show: false}, value: (_, value, __, i) => (i === null || i === undefined ? DASH : this.words(value, k, i))};
+      })],
+      hooks: {drawClear: [() => this.drawUnder()], draw: [() => this.drawOver()],
+        setSelect: [(plot) => this.select(plot.select)]},
+    }, this.values, holder);
+    // A legend entry without a name belongs to a line of another entry.
+    holder.querySelectorAll('.u-series').forEach((row, k) => { if (k > 0 && series[k - 1].label === '') row.hidden = true; });
+    this.plot.over.addEventListener('click', () => { const i = this.plot.cursor.idx; if (picked && Number.isInteger(i)) picked(i); });
+    this.sized = new ResizeObserver(() => { const room = this.room(); if (room.width !== this.plot.width || room.height !== this.plot.height) this.plot.setSize(room); });
+    this.sized.observe(holder);
+    offerZoom(this);
+    made.add(this);
+  }
+
+  // The legend is outside the size that uPlot is given.
+  room() {
+    const legend = this.holder.querySelector('.u-legend')?.offsetHeight ?? 26;
+    return {width: Math.max(120, this.holder.clientWidth), height: Math.max(80, this.holder.clientHeight - legend)};
+  }
+
+  xWords(value) { return Number.isFinite(value) ? this.x.say?.(value) ?? signed(value, 2).replace('+', '') : DASH; }
+  words(value, k, i) {
+    if (value === null || value === undefined) return DASH;
+    return this.say ? this.say(value, k, i) : withDigits(value, this.bars?.[k]?.[i], this.unit);
+  }
+
+  // Bars, band and levels are inside the picture as well as the points.
+  yRange(min, max) {
+    let [low, high] = min === null || min === undefined ? [Infinity, -Infinity] : [min, max];
+    const take = (value) => { if (Number.isFinite(value)) { low = Math.min(low, value); high = Math.max(high, value); } };
+    this.bars?.forEach((us, k) => us?.forEach((u, i) => { const y = this.values[k + 1][i]; if (y !== null) { take(y - 2 * u); take(y + 2 * u); } }));
+    this.band?.u.forEach((u) => { take(2 * u); take(-2 * u); });
+    for (const {y} of this.levels) take(y);
+    if (!(low <= high)) return [0, 1];
+    const room = (high - low || Math.abs(high) || 1) * 0.06;
+    return [low - room, high + room];
+  }
+
+  // Shows other values: xs, and of each series the values, null where there is none.
+  show(xs, values, {bars = null, band = null, rings = [], marks = this.marks, levels = this.levels, y = null} = {}) {
+    Object.assign(this, {bars, band, rings: new Set(rings), marks, levels});
+    this.values = [xs, ...values];
+    if (y !== null && this.plot.axes[1].label !== y) this.plot.axes[1].label = y;
+    this.plot.setData(this.values);
+  }
+
+  paint() {
+    this.plot.redraw(false, true);
+  }
+
+  drawUnder() {
+    const {plot} = this, brush = plot.ctx, {left, top, width, height} = plot.bbox, ratio = devicePixelRatio;
+    brush.save();
+    brush.beginPath();
+    brush.rect(left, top, width, height);
+    brush.clip();
+    if (this.band?.x.length) {
+      const {x, u} = this.band, edge = (sign) => x.map((at, i) => [plot.valToPos(at, 'x', true), plot.valToPos(sign * 2 * u[i], 'y', true)]);
+      brush.fillStyle = palette.band;
+      brush.beginPath();
+      for (const [px, py] of [...edge(1), ...edge(-1).reverse()]) brush.lineTo(px, py);
+      brush.fill();
     }
-    chart.update();  // Without animation; the mode 'none' would leave the markers as they are.
+    brush.font = `${12 * ratio}px system-ui, sans-serif`;
+    brush.strokeStyle = brush.fillStyle = palette.dim;
+    brush.lineWidth = ratio;
+    for (const {y, words, dash} of this.levels) {
+      const py = plot.valToPos(y, 'y', true);
+      brush.setLineDash(dash.map((d) => d * ratio));
+      brush.beginPath();
+      brush.moveTo(left, py);
+      brush.lineTo(left + width, py);
+      brush.stroke();
+      brush.fillText(words, left + 4 * ratio, py - 3 * ratio);
+    }
+    brush.setLineDash([2 * ratio, 3 * ratio]);
+    for (const {x} of this.marks) {
+      const px = plot.valToPos(x, 'x', true);
+      brush.beginPath();
+      brush.moveTo(px, top);
+      brush.lineTo(px, top + height);
+      brush.stroke();
+    }
+    brush.restore();
+  }
+
+  drawOver() {
+    const {plot, values} = this, brush = plot.ctx, ratio = devicePixelRatio, xs = values[0], {left, top, width, height} = plot.bbox;
+    const {min, max} = plot.scales.x;
+    brush.save();
+    brush.beginPath();
+    brush.rect(left - 4 * ratio, top - 4 * ratio, width + 8 * ratio, height + 8 * ratio);
+    brush.clip();
+    const few = xs.length <= 40;
+    this.series.forEach((one, k) => {
+      if (!one.points) return;
+      const shape = SHAPES[Math.max(0, OUTPUTS.indexOf(one.output))], ys = values[k + 1], radius = (few ? 3.2 : 2) * ratio;
+      brush.fillStyle = brush.strokeStyle = colourOf(one.output);
+      brush.lineWidth = ratio;
+      const marks = new Path2D(), bars = new Path2D();
+      for (let i = 0; i < xs.length; ++i) {
+        const y = ys[i];
+        if (y === null || y === undefined || xs[i] < min || xs[i] > max) continue;
+        const px = plot.valToPos(xs[i], 'x', true), py = plot.valToPos(y, 'y', true), u = this.bars?.[k]?.[i];
+        marks.moveTo(px + radius, py);
+        shape(marks, px, py, radius);
+        if (u > 0) {
+          bars.moveTo(px, plot.valToPos(y - 2 * u, 'y', true));
+          bars.lineTo(px, plot.valToPos(y + 2 * u, 'y', true));
+        }
+        if (this.rings.has(i)) {
+          brush.save();
+          brush.strokeStyle = palette.bad;
+          brush.lineWidth = 2 * ratio;
+          brush.beginPath();
+          brush.arc(px, py, 7 * ratio, 0, 2 * Math.PI);
+          brush.stroke();
+          brush.restore();
+        }
+      }
+      brush.stroke(bars);
+      brush.fill(marks);
+    });
+    brush.restore();
+  }
+
+  // Zoom. from, to: of the x axis; null: all.
+  zoom(from, to) {
+    this.xZoom = from === null ? null : [from, to];
+    if (this.xZoom) this.plot.setScale('x', {min: from, max: to}); else this.plot.setData(this.values);
+  }
+  zoomY(low, high) {
+    this.yZoom = low === null ? null : [low, high];
+    this.plot.setData(this.values);
+  }
+  all() {
+    this.xZoom = this.yZoom = null;
+    this.plot.setData(this.values);
+  }
+  select({left, top, width, height}) {
+    if (width < 8 && height < 8) return;
+    const value = (px, key) => this.plot.posToVal(px, key);
+    // A selection over the whole height or width does not choose in that direction.
+    const wide = width < this.plot.over.clientWidth - 1, high = height < this.plot.over.clientHeight - 1;
+    if (high) this.yZoom = [value(top + height, 'y'), value(top, 'y')];
+    if (wide) this.zoom(value(left, 'x'), value(left + width, 'x')); else this.plot.setData(this.values);
+    this.plot.setSelect({left: 0, top: 0, width: 0, height: 0}, false);
+  }
+  get shownX() { const {min, max} = this.plot.scales.x; return [min, max]; }
+  get shownY() { const {min, max} = this.plot.scales.y; return [min, max]; }
+  get ends() { const xs = this.values[0]; return this.whole ?? [xs[0] ?? 0, xs.at(-1) ?? 1]; }
+
+  destroy() {
+    made.delete(this);
+    this.sized.disconnect();
+    this.plot.destroy();
   }
 }
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
-// Functions, which Chart.js calls at each update.
-const dim = () => palette.dim;
-const line = () => palette.line;
-// The colours of a dataset are values, as functions would be called for each point.
-function coloursOf(output) {
-  const colour = palette[output] ?? palette.dim;
-  return {borderColor: colour, backgroundColor: colour, pointBackgroundColor: colour, pointBorderColor: colour};
+function defaultSplits(min, max, step) {
+  const splits = [];
+  for (let at = Math.ceil(min / step - 1e-9) * step; at <= max + step * 1e-9; at += step) splits.push(at);
+  return splits;
 }
+// Whole quarters of a turn where they fit.
+export const quarters = (min, max) => (max - min >= 180 ? defaultSplits(min, max, 90) : null);
 
-function axis(words, more = {}) {
-  return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, format: {useGrouping: false}, color: dim}, grid: {color: line}};
-}
+// A place for a chart with its name for those who do not see it.
+export const place = (kind = '') => element('div', {class: `plot${kind && ` ${kind}`}`});
 
-// Y axes of equal width in plots below each other, so that their angles are aligned.
-const LEFT = 78;  // least width in px
-const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
+// Points of the three outputs: their series.
+export const outputSeries = (more = {}) => OUTPUTS.map((output) => ({output, label: output, points: true, ...more}));
 
-// The sample of a line in the legend: its dashes and its marker. Drawn once, as the legend asks for it at each update.
-const drawnSamples = new Map();
-function sample(item, dash) {
-  const key = `${dash} ${item.pointStyle} ${item.strokeStyle}`;
-  if (!drawnSamples.has(key)) drawnSamples.set(key, drawSample(item, dash));
-  return drawnSamples.get(key);
-}
-function drawSample(item, dash) {
-  const picture = document.createElement('canvas'), brush = picture.getContext('2d');
-  [picture.width, picture.height] = [34, 10];
-  brush.strokeStyle = brush.fillStyle = item.strokeStyle;
-  brush.lineWidth = 1.8;
-  brush.setLineDash(dash);
-  brush.beginPath();
-  brush.moveTo(0, 5);
-  brush.lineTo(34, 5);
-  brush.stroke();
-  brush.setLineDash([]);
-  if (item.pointStyle !== 'line') Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
-  return picture;
-}
-const samples = (chart) => Chart.defaults.plugins.legend.labels.generateLabels(chart)
-  .map((item) => ({...item, pointStyle: sample(item, chart.data.datasets[item.datasetIndex].borderDash)}));
-
-// "4.0e−5" where Chart.js would write 4.000000E-5.
-function tick(value, index, ticks) {
-  const largest = Math.max(...ticks.map((t) => Math.abs(t.value)));
-  if (value === 0 || largest >= 1e-3) return Chart.Ticks.formatters.numeric.call(this, value, index, ticks);
-  return value.toExponential(1).replaceAll('-', '−');
-}
-
-function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = null}) {
-  const chart = new Chart(canvas, {
-    type,
-    data,
-    plugins: [shade],
-    options: {
-      animation: false, responsive: true, maintainAspectRatio: false,
-      ...(type === 'line' && {parsing: false}),  // Points come as {x, y}, in numbers.
-      interaction: {mode: 'nearest', intersect: false},
-      scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(type === 'line' && {generateLabels: samples, pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
-    },
-  });
-  made.add(chart);
-  if (type === 'line') offerZoom(chart);
+// Groups of a few named places, e.g. closures: values with bars of ±2 u over the names.
+export function overNames(holder, {name, x, y, names, values, us = null, unit = '', levels = [{y: 0, words: '', dash: []}]}) {
+  const chart = new Chart(holder, {name, y, series: outputSeries(), x: {words: x, whole: [-0.6, names.length - 0.4], splits: (min, max) => names.map((_, i) => i).filter((i) => i >= min && i <= max),
+    values: (_, splits) => splits.map((i) => names[i] ?? ''), say: (at) => names[Math.round(at)] ?? ''}});
+  chart.unit = unit;
+  // The three outputs of a name stand beside each other.
+  const xs = [], columns = OUTPUTS.map(() => []), bars = OUTPUTS.map(() => []);
+  names.forEach((_, i) => OUTPUTS.forEach((__, j) => {
+    xs.push(i + 0.16 * (j - 1));
+    OUTPUTS.forEach((___, k) => { columns[k].push(k === j ? values[j][i] : null); bars[k].push(k === j ? us?.[j]?.[i] ?? 0 : 0); });
+  }));
+  chart.levels = levels;
+  chart.show(xs, columns, {bars});
   return chart;
 }
 
-export function discard(chart) {
-  made.delete(chart);
-  chart.destroy();
-}
-
-// A plot of points and lines over numbers. Axis titles carry the units; the legend omits names that begin with "_".
-export function plot(canvas, {datasets, xRange = {}, ...words}) {
-  return draw(canvas, 'line', {datasets}, {...words, xRange: {type: 'linear', ...xRange}});
-}
-
-// Smaller if there are many points.
-export const pointRadius = (points) => (points.length > 40 ? 1.8 : 3);
-
-// A line through points, or points alone.
-export function series(output, label, {line: joined = true, points = false} = {}) {
-  const i = Math.max(0, OUTPUTS.indexOf(output));
-  return {label, output, data: [], ...coloursOf(output),
-    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
-}
-
-// Groups of bars, one colour an output.
-export function bars(canvas, {x = '', y, labels, sets}) {
-  const datasets = sets.map((set) => ({label: set.output, output: set.output, data: set.values, ...coloursOf(set.output), pointStyle: POINTS[OUTPUTS.indexOf(set.output)]}));
-  return draw(canvas, 'bar', {labels, datasets}, {x, y, xRange: {type: 'category'}});
-}
-
-// Values with a band of two standard uncertainties, and the limits of a control chart where there are any.
-// The text `words` of a point is shown below it instead of its number.
-export function band(canvas, {x, y, points, output, limits = null, marks = false}) {
-  const edge = (sign) => points.map((p) => ({x: p.x, y: p.y + sign * 2 * (p.u ?? 0)}));
-  const level = (name, value, dash) => ({...series('', name), borderWidth: 1.2, borderDash: dash,
-    data: points.length ? [{x: points[0].x, y: value}, {x: points.at(-1).x, y: value}] : []});
-  const thin = {borderWidth: 1, borderDash: [2, 3]};
-  const outside = ({raw}) => limits && raw && (raw.y < limits.lower || raw.y > limits.upper);
-  const striking = marks ? {pointRadius: (point) => (outside(point) ? 7 : 4), pointStyle: (point) => (outside(point) ? 'rectRot' : 'circle'),
-    pointBackgroundColor: (point) => (outside(point) ? palette.bad : palette[output])} : {};
-  const datasets = [
-    {...series(output, t('value'), {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
-    {...series(output, t('2 std. uncertainties')), ...thin, data: edge(+1)},
-    {...series(output, '_lower'), ...thin, data: edge(-1)},
-  ];
-  if (limits) datasets.push(level(t('centre'), limits.centre, []), level(t('limits'), limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
-  return plot(canvas, {x, y, datasets, xRange: {
-    min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
-    ticks: {precision: 0, maxRotation: 0, autoSkipPadding: 10, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
-}
+export const resetWords = () => t('Drag, or press + and -, to zoom; arrows move; PageUp and PageDown zoom the values; with the focus the wheel zooms; double click or 0 shows all.');

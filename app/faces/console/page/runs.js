@@ -8,12 +8,15 @@ import {certificateCard} from '/approve.js';
 import {resultItems} from '/items.js';
 import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
-import {OUTPUTS, band, bars, discard} from '/plots.js';
+import {answer, VERDICTS, VERDICT_SIGNS} from '/answer.js';
+import {motionCard} from '/motion.js';
+import {Residuals} from '/residuals.js';
+import {Chart, OUTPUTS, overNames, place} from '/plots.js';
 
-const VERDICTS = {usable: t('Usable'), doubtful: t('Doubtful'), not_usable: t('Not usable')};
 const STATES = {running: t('running, or its program died'), interrupted: t('interrupted'), complete: t('complete'), abandoned: t('abandoned'), unreadable: t('cannot be read'), 'not read yet': t('is being read')};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
 const HEADINGS = [t('Run'), t('Item (serial number)'), t('Model'), t('Begun'), t('State'), t('Result'), t('Operator'), t('Measured'), t('Duration'), t('Go on')];
+const SORTED = ['name', 'item', 'model', 'created_utc', 'state', 'verdict', 'operator', 'measured', 'duration_s', null];  // Their keys in the data of a run.
 const ROWS = 100;  // Rows on one page of the list.
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
 const SYMBOLS = t('s_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.');
@@ -27,6 +30,7 @@ function inWords(property) {
 
 let list = [], firstRow = 0;
 const charts = [];
+const FROZEN = 'register:';  // Marks a chart of the register among the items.
 
 async function fetchJson(path) {
   const response = await fetched(path);
@@ -38,31 +42,50 @@ const encoded = (name) => encodeURIComponent(name);
 const day = (utc) => timeElement(utc, 'day');
 
 function clearCharts() {
-  while (charts.length) discard(charts.pop());
+  while (charts.length) charts.pop().destroy();
 }
 
 function say(id, error) {
   byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || String(error), {capital: true})));
 }
 
-// The list.
+// The list: the console finds, sorts and counts, and sends one page of it.
 
-export async function showRuns(resume) {
+let only = {}, sort = '', descending = false, resuming = null, chosen = null;  // chosen: the first of two runs to be compared.
+const QUIET_MS = 200;  // Delay from the last key to the request to the console.
+
+// filter: {item: serial number} or {bench: name}: the life of one item or bench; absent: all runs.
+export async function showRuns(resume, filter = {}) {
+  resuming = resume;
+  if (JSON.stringify(filter) !== JSON.stringify(only)) firstRow = 0;
+  only = filter;
   byId('run-list').hidden = false;
   byId('run-detail').replaceChildren();
   clearCharts();
+  const search = byId('run-search');
+  let soon = null;
+  search.oninput = () => { firstRow = 0; clearTimeout(soon); soon = setTimeout(fetchPage, QUIET_MS); };
+  await fetchPage();
+}
+
+let asked = 0;
+async function fetchPage() {
+  const number = ++asked;
+  let page;
   try {
-    list = await fetchJson('/runs');
+    page = await fetchJson(`/runs?${new URLSearchParams({...only, search: byId('run-search').value, sort, descending: descending ? 1 : 0, from: firstRow, count: ROWS})}`);
   } catch (error) {
     return say('run-table', error);
   }
+  if (number !== asked) return;  // Something else was typed meanwhile.
+  if (firstRow && firstRow >= page.found) {
+    firstRow = 0;
+    return fetchPage();
+  }
   // Many runs are read in steps; those already read are shown meanwhile.
-  const unread = list.filter((run) => run.state === 'not read yet').length;
-  byId('run-loading').textContent = unread ? t`Reading: ${unread} of ${list.length} runs are still to come.` : '';
-  if (unread) setTimeout(() => { if (location.hash === '#runs') showRuns(resume); }, 200);
-  const search = byId('run-search');
-  search.oninput = () => { firstRow = 0; drawList(resume); };
-  drawList(resume);
+  byId('run-loading').textContent = page.unread ? t`Reading: ${page.unread} of ${page.all} runs are still to come.` : '';
+  if (page.unread) setTimeout(() => { if (/^#(runs|life\/.*)$/.test(location.hash)) fetchPage(); }, 200);
+  drawList(page);
 }
 
 // Marks a run of simulated instruments, so that nobody takes it for a calibration.
@@ -70,18 +93,12 @@ export function simulatedMark(run) {
   return element('strong', {class: 'simulated', title: t`Simulated: ${rolesIn(run.simulated)}`}, t('SIMULATED'));
 }
 
-function matches(run, words) {
-  const text = Object.values(run).join(' ').toLowerCase();
-  return words.every((word) => text.includes(word));
-}
-
-function drawList(resume) {
-  const words = byId('run-search').value.toLowerCase().split(/\s+/).filter(Boolean);
-  const found = list.filter((run) => matches(run, words));
-  if (firstRow >= found.length) firstRow = 0;
-  const shown = found.slice(firstRow, firstRow + ROWS);
-  byId('run-count').textContent = t`${found.length} of ${list.length} runs` + (shown.length < found.length ? t`; here ${firstRow + 1} to ${firstRow + shown.length}` : '');
-  drawPages(found.length, resume);
+function drawList(page) {
+  const {runs: shown, found, all} = page;
+  const resume = resuming;
+  byId('run-count').textContent = t`${found} of ${all} runs` + (shown.length < found ? t`; here ${firstRow + 1} to ${firstRow + shown.length}` : '');
+  drawLife(page);
+  drawPages(found);
   const row = (run) => {
     const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
     const actions = element('td', {});
@@ -93,6 +110,7 @@ function drawList(resume) {
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
+    if (measured && run.items.some(({dropped}) => dropped === null)) actions.append(compareButton(run));
     const cell = (i, ...content) => element('td', {'data-heading': HEADINGS[i]}, ...content);
     return element('tr', {},
       element('th', {scope: 'row'}, run.state === 'unreadable' ? run.name : link),
@@ -100,25 +118,66 @@ function drawList(resume) {
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
       cell(4, element('span', {}, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`)),
-      cell(5, VERDICTS[run.verdict] || DASH),
+      cell(5, run.verdict ? element('span', {class: `mark-${run.verdict}`}, `${VERDICT_SIGNS[run.verdict]} ${VERDICTS[run.verdict]}`) : DASH),
       cell(6, operatorIn(run.operator) || DASH),
       cell(7, run.planned ? t`${run.measured} of ${run.planned} angles` : DASH),
       cell(8, duration(run.duration_s)),
       actions);
   };
+  // The first press chooses a run, the second one another to compare it with.
+  const compareButton = (run) => {
+    const words = chosen === null ? t('Compare') : chosen === run.name ? t('Not this one') : t('With this one');
+    const button = element('button', {type: 'button', class: 'compare-run', 'aria-label': `${words}: ${run.name}`}, words);
+    button.addEventListener('click', () => {
+      if (chosen !== null && chosen !== run.name) {
+        location.hash = `#compare/${encoded(chosen)}/${encoded(run.name)}`;
+        chosen = null;
+      } else {
+        chosen = chosen === null ? run.name : null;
+        drawList(page);
+        document.querySelector(`.compare-run[aria-label$=${JSON.stringify(`: ${run.name}`)}]`)?.focus();
+      }
+    });
+    return button;
+  };
+  const heading = (words, i) => {
+    if (!SORTED[i]) return element('th', {scope: 'col'}, words);
+    const isSorted = sort === SORTED[i], button = element('button', {type: 'button', class: 'sort', 'data-sort': SORTED[i]}, words, isSorted ? (descending ? ' ▼' : ' ▲') : '');
+    button.addEventListener('click', async () => {
+      [sort, descending] = isSorted ? (descending ? ['', false] : [sort, true]) : [SORTED[i], false];
+      firstRow = 0;
+      await fetchPage();
+      document.querySelector(`[data-sort=${SORTED[i]}]`)?.focus();
+    });
+    return element('th', {scope: 'col', 'aria-sort': isSorted ? (descending ? 'descending' : 'ascending') : false}, button);
+  };
   byId('run-table').replaceChildren(element('table', {},
-    element('caption', {class: 'visually-hidden'}, t('Runs in the run folder, newest first')),
-    element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
+    element('caption', {class: 'visually-hidden'}, t('Runs in the run folder')),
+    element('thead', {}, element('tr', {}, ...HEADINGS.map(heading))),
     element('tbody', {}, ...shown.map(row))));
 }
 
-function drawPages(found, resume) {
+// Shows how all runs of one item or bench came out, and the way to its control charts.
+function drawLife({found, verdicts, first_utc: first, last_utc: last}) {
+  const life = byId('run-life'), [kind] = Object.keys(only), name = only[kind];
+  life.hidden = !kind;
+  if (!kind) return life.replaceChildren();
+  const dl = element('dl', {}), fact = (words, ...content) => dl.append(element('dt', {}, words), element('dd', {}, ...content));
+  fact(t('Runs'), found);
+  fact(t('Results'), Object.entries(verdicts).map(([verdict, n]) => `${VERDICT_SIGNS[verdict]} ${VERDICTS[verdict]}: ${n}`).join(', ') || DASH);
+  if (first) fact(t('First and last run'), day(first), ', ', day(last));
+  const charts = PROPERTIES.flatMap((property, i) => [i ? ', ' : '', element('a', {href: `#chart/${encoded(name)}/${property}`}, property)]);
+  if (kind === 'item') fact(t('Control charts'), ...charts);
+  life.replaceChildren(element('h3', {id: 'run-life-title'}, kind === 'item' ? t`Life of the item ${name}` : t`Life of the bench ${name}`), dl, element('p', {class: 'no-print'}, element('a', {href: '#runs'}, t('All runs'))));
+}
+
+function drawPages(found) {
   const go = (words, to) => {
     const button = element('button', {type: 'button', disabled: to < 0 || to >= found}, words);
-    button.addEventListener('click', () => { firstRow = to; drawList(resume); byId('run-search').focus(); });
+    button.addEventListener('click', async () => { firstRow = to; await fetchPage(); byId('run-search').focus(); });
     return button;
   };
-  byId('run-pages').replaceChildren(...(found > ROWS ? [go(t('Newer runs'), firstRow - ROWS), go(t('Older runs'), firstRow + ROWS)] : []));
+  byId('run-pages').replaceChildren(...(found > ROWS ? [go(t('Earlier rows'), firstRow - ROWS), go(t('Later rows'), firstRow + ROWS)] : []));
 }
 
 // One run.
@@ -126,12 +185,12 @@ function drawPages(found, resume) {
 // Loads the list of runs, or the page of a run that was not complete, again: a state shown may be outdated.
 let showAgain = null;
 export function statesMayHaveChanged(resume) {
-  if (location.hash === '#runs') showRuns(resume);
+  if (/^#(runs|life\/.*)$/.test(location.hash)) showRuns(resume, only);
   else if (location.hash.startsWith('#runs/')) showAgain?.();
 }
 
 // item: its number; absent: the first that was not left out.
-export async function showRun(name, item, {again = false} = {}) {
+export async function showRun(name, item, part, {again = false} = {}) {
   showAgain = null;
   byId('run-list').hidden = true;
   clearCharts();
@@ -144,26 +203,31 @@ export async function showRun(name, item, {again = false} = {}) {
   }
   if (!data) return;
   const {run, results} = data;
-  if (run.state !== 'complete') showAgain = () => showRun(name, item, {again: true});
+  if (run.state !== 'complete') showAgain = () => showRun(name, item, '', {again: true});
   // The first result is that of the estimator chosen for the run; the fits of the published protocol show properties of the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
+  const several = run.items.length > 1, path = `/runs/${encoded(run.name)}${several ? `/items/${data.item}` : ''}`;
+  const residuals = new Residuals(path, {fits: abc.diagnostics.fits, unit: abc.response_unit, events: data.events, charts});
   detail.replaceChildren(
-    element('p', {class: 'no-print'}, element('a', {href: '#runs'}, t('All runs'))),
-    element('h3', {id: 'run-name'}, run.name),
-    ...(run.items.length > 1 ? [resultItems(run, data.item), element('h3', {id: 'run-item'}, t`Result of item ${data.item}`)] : []),
+    element('p', {class: 'bar', id: 'run-head'}, element('a', {href: '#runs', class: 'no-print'}, t('All runs')), element('strong', {id: 'run-name'}, run.name)),
+    ...(several ? [resultItems(run, data.item), element('h3', {id: 'run-item'}, t`Result of item ${data.item}`)] : []),
     verdict(reported, run),
-    downloads(data.downloads, run, run.items.length > 1 ? data.item : 0),
+    card(t`Result (${ESTIMATORS[reported.estimator]})`, answer(reported, data.dominates)),
+    ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
+    downloads(data.downloads, run, several ? data.item : 0),
+    ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
+    residuals.element,
     card(t('Checks of the result'), checks(reported, data.meanings)),
     ...(reported.stage_record ? [card(t('Record of the stage'), stageRecord(reported.stage_record))] : []),
-    ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
-    ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
     card(t('Estimators side by side'), estimators(results)),
     card(t('Other estimators in words'), element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. `, said(r.why))))),
     card(t('Facts'), facts(data)));
+  residuals.load({toFlags: part === 'flags'});
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
+  if (joint?.motion) detail.append(card(t('Response at each rate'), motionCard(joint.motion, charts)));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(certificateCard(run, run.items.length > 1 ? data.item : 0, () => showRun(name, item)));
+  detail.append(certificateCard(run, run.items.length > 1 ? data.item : 0, () => showRun(name, item, '')));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
   if (!again) byId('main').focus();
@@ -172,12 +236,11 @@ export async function showRun(name, item, {again = false} = {}) {
 const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
 
 function verdict(result, run) {
-  const notes = result.diagnostics.notes;
-  return element('div', {class: `verdict verdict-${run.simulated ? 'simulated' : result.verdict}`, id: 'verdict'},
+  return element('div', {class: `verdict verdict-${result.verdict}`, id: 'verdict'},
+    element('p', {class: 'verdict-word'}, element('span', {class: 'verdict-sign', 'aria-hidden': 'true'}, VERDICT_SIGNS[result.verdict]), element('strong', {}, VERDICTS[result.verdict])),
     element('p', {}, ...(run.simulated ? [simulatedMark(run), t` Simulated: ${rolesIn(run.simulated)}. These are no measurements. `] : []),
-      element('strong', {}, `${VERDICTS[result.verdict]}. `), said(result.why),
-      run.state === 'complete' ? '' : t` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
-    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, said(note))))] : []));
+      element('span', {class: 'verdict-why'}, said(result.why)),
+      run.state === 'complete' ? '' : t` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`));
 }
 
 // A table of the checks: the failed ones first, with the reason; each with its meaning.
@@ -186,13 +249,14 @@ function checks(result, meanings) {
   if (!all.length) return element('p', {}, t('Nothing was checked: the result has too few angles.'));
   const figure = (value, against) => (value === null ? DASH : number(value, Math.min(9, decimals(Math.abs(value) < 1e-3 * against ? 1e-3 * against : value))).replace('-', '−'));
   const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? t('not made') : c.passed ? t('passed') : t('FAILED'));
-  const failed = all.filter((c) => !c.passed).length;
-  const made = scrollable('stack scroll-x', t('Checks of the result'), table(failed ? t`${failed} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
-    [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')],
-    all.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
+  const HEAD = [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')];
+  const failed = all.filter((c) => !c.passed), passed = all.filter((c) => c.passed);
+  const tableOf = (caption, list) => scrollable('stack scroll-x', caption, table(caption, HEAD,
+    list.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
       element('span', {}, said(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
-  made.id = 'result-checks';
-  return made;
+  const words = failed.length ? t`${failed.length} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`;
+  return element('div', {id: 'result-checks'}, ...(failed.length ? [tableOf(words, failed)] : [element('p', {}, words)]),
+    element('details', {id: 'passed-checks'}, element('summary', {}, t`Checks that passed: ${passed.length}`), tableOf(t('Checks that passed'), passed)));
 }
 
 // Age and health of the record from which the result takes the stage: the parts of the stage that this run tested.
@@ -270,11 +334,13 @@ function estimators(results) {
 
 function facts(data) {
   const dl = element('dl', {});
-  const fact = (name, value) => dl.append(element('dt', {}, name), element('dd', {}, value || DASH));
+  const fact = (name, ...value) => dl.append(element('dt', {}, name), element('dd', {}, ...(value[0] ? value : [DASH])));
   const {run, timing} = data;
-  fact(t('Item (serial number)'), run.item);
+  const life = (kind, name) => element('a', {href: `#life/${kind}/${encoded(name)}`}, name);
+  const serials = run.items.map(({serial_number: serial}) => serial).filter(Boolean);
+  fact(t('Item (serial number)'), ...(serials.length ? serials.flatMap((serial, i) => [...(i ? [', '] : []), life('item', serial)]) : [run.item || DASH]));
   for (const i of run.items.length > 1 ? run.items : []) fact(t`Item ${i.k}`, i.dropped ? t`${i.model} ${i.serial_number}, left out: ${i.dropped}` : t`${i.model} ${i.serial_number}, ${i.measured} angles`);
-  fact(t('Bench'), run.bench);
+  fact(t('Bench'), run.bench ? life('bench', run.bench) : DASH);
   fact(t('Operator'), operatorIn(run.operator));
   fact(t('Begun'), day(run.created_utc));
   const {angles_used: used, flags} = data.results[0].diagnostics;
@@ -287,20 +353,18 @@ function facts(data) {
 }
 
 function closures(result) {
-  const rows = result.diagnostics.closures;
-  const canvas = element('canvas', {role: 'img', 'aria-label': t('Closures in standard uncertainties; the table has the numbers')});
-  const block = card(t('Closures: zero for a perfect stage'), element('div', {},
-    element('div', {class: 'plot'}, canvas),
-    element('details', {}, element('summary', {}, t('As a table')), table(t`Closures and their standard uncertainty (${result.response_unit})`,
-      [t('Closure'), t('Output'), t`Value (${result.response_unit})`, t`std. uncertainty (${result.response_unit})`, t('Ratio (1)')],
+  const rows = result.diagnostics.closures, holder = place(), names = [...new Set(rows.map((c) => c.name))], unit = result.response_unit;
+  const block = card(t('Closures: zero for a perfect stage'), element('div', {}, holder,
+    element('details', {}, element('summary', {}, t('As a table')), table(t`Closures and their standard uncertainty (${unit})`,
+      [t('Closure'), t('Output'), t`Value (${unit})`, t`std. uncertainty (${unit})`, t('Ratio (1)')],
       rows.map((c) => [c.name, c.accelerometer, small(c.value.value), small(c.value.standard_uncertainty), signed(c.value.value / c.value.standard_uncertainty, 2)])))));
-  queueMicrotask(() => charts.push(bars(canvas, {y: t('closure / std. uncertainty (1)'), labels: [...new Set(rows.map((c) => c.name))],
-    sets: OUTPUTS.map((name) => ({output: name, values: rows.filter((c) => c.accelerometer === name).map((c) => c.value.value / c.value.standard_uncertainty)}))})));
+  const column = (read) => OUTPUTS.map((output) => names.map((name) => { const found = rows.find((c) => c.name === name && c.accelerometer === output); return found ? read(found.value) : null; }));
+  queueMicrotask(() => charts.push(overNames(holder, {name: t('Closures with bars of ±2 u; the table has the numbers'), x: t('closure'), y: t`closure ± 2 u (${unit})`, names, unit,
+    values: column(({value}) => value), us: column(({standard_uncertainty: u}) => u)})));
   return block;
 }
 
 function harmonics(result) {
-  const canvas = element('canvas', {role: 'img', 'aria-label': t('Amplitudes of the harmonics 2 to 5; the table has the numbers')});
   const rows = [];
   for (const fit of result.diagnostics.fits) {
     for (const h of fit.harmonics.filter((x) => x.order >= 2)) {
@@ -309,15 +373,14 @@ function harmonics(result) {
     }
   }
   if (!rows.length) return card(t('Harmonics'), element('p', {}, t('These angles do not determine harmonics.')));
-  const unit = result.response_unit;
-  const block = card(t('Harmonics 2 to 5 of the response'), element('div', {},
-    element('div', {class: 'plot'}, canvas),
+  const unit = result.response_unit, holder = place(), names = [...new Set(rows.map((r) => r.label))];
+  const block = card(t('Harmonics 2 to 5 of the response'), element('div', {}, holder,
     element('details', {}, element('summary', {}, t('As a table')), table(t`Amplitudes (${unit})`,
       [t('Experiment'), t('Order (1)'), t('Output'), t`Amplitude (${unit})`, t`std. uncertainty of a coefficient (${unit})`],
       rows.map((r) => [r.experiment, r.order, r.output, small(r.amplitude), small(r.u)])))));
-  const labels = [...new Set(rows.map((r) => r.label))];
-  queueMicrotask(() => charts.push(bars(canvas, {x: t('experiment, order of the harmonic'), y: t`amplitude (${unit})`, labels,
-    sets: OUTPUTS.map((name) => ({output: name, values: labels.map((l) => rows.find((r) => r.label === l && r.output === name)?.amplitude ?? null)}))})));
+  const column = (read) => OUTPUTS.map((output) => names.map((label) => { const found = rows.find((r) => r.label === label && r.output === output); return found ? read(found) : null; }));
+  queueMicrotask(() => charts.push(overNames(holder, {name: t('Amplitudes of the harmonics 2 to 5 with bars of ±2 u; the table has the numbers'), x: t('experiment, order of the harmonic'), y: t`amplitude ± 2 u (${unit})`, names, unit,
+    values: column(({amplitude}) => amplitude), us: column(({u}) => u)})));
   return block;
 }
 
@@ -325,31 +388,40 @@ function stepErrors(joint) {
   const holder = element('div', {class: 'plots'});
   const rows = [];
   joint.step_error.forEach((errors, i) => {
-    const canvas = element('canvas', {role: 'img', 'aria-label': t`Step errors of experiment ${i + 1}; the table has the numbers`});
-    holder.append(element('div', {}, element('h4', {}, t`Experiment ${i + 1}: axis ${i === 2 ? 'Z' : 'X'}`), element('div', {class: 'plot'}, canvas)));
+    const one = place();
+    holder.append(element('div', {}, element('h4', {}, t`Experiment ${i + 1}: axis ${i === 2 ? 'Z' : 'X'}`), one));
     const points = errors.map((q, k) => ({n: k + 1, ...q})).filter((q) => q.value !== null);
     for (const p of points) rows.push([i + 1, p.n, signed(p.value, 5), number(p.standard_uncertainty, 5)]);
-    queueMicrotask(() => charts.push(band(canvas, {x: t('number n of the angle (1)'), y: t('step error (degrees)'), output: OUTPUTS[i],
-      points: points.map((p) => ({x: p.n, y: p.value, u: p.standard_uncertainty}))})));
+    queueMicrotask(() => {
+      const chart = new Chart(one, {name: t`Step errors of experiment ${i + 1}; the table has the numbers`, x: {words: t('number n of the angle (1)')}, y: t('step error (degrees)'), sync: 'step errors',
+        series: [{output: OUTPUTS[i], label: t('step error'), points: true, line: true, dash: []}]});
+      chart.unit = '°';
+      chart.show(points.map(({n}) => n), [points.map(({value}) => value)], {bars: [points.map(({standard_uncertainty: u}) => u)]});
+      charts.push(chart);
+    });
   });
   const pages = scrollable('scroll', t('Step errors (degrees)'), '');
   new PagedTable(pages, {caption: () => t('Step errors (degrees)'), rows: (from, to) => rows.slice(from, to),
     head: () => [t('Experiment'), 'n', t('Step error (degrees)'), t('std. uncertainty (degrees)')]}).show(rows.length);
   return card(t('Step errors of the stage, from the joint estimator'), element('div', {},
-    element('p', {}, t('Line: estimated error of each commanded angle; band: two standard uncertainties.')), holder,
+    element('p', {}, t('Points: estimated error of each commanded angle; bars: ±2 u.')), holder,
     element('details', {}, element('summary', {}, t('As a table')), pages)));
 }
 
 // Two runs.
 
+const CHOICES = 200;  // Runs in the choice of two to compare, the newest; others are chosen in the list of runs.
+
 export async function showCompare(first, second) {
   clearCharts();
+  const byName = (name) => fetchJson(`/runs?${new URLSearchParams({search: name.replace(/#\d+$/, ''), state: 'complete', count: 20})}`);
   try {
-    list = await fetchJson('/runs');
+    const pages = await Promise.all([fetchJson(`/runs?state=complete&count=${CHOICES}`), ...[first, second].filter(Boolean).map(byName)]);
+    list = [...new Map(pages.flatMap(({runs}) => runs).map((run) => [run.name, run])).values()];
   } catch (error) {
     return say('compare-table', error);
   }
-  const usable = list.filter((run) => run.state === 'complete');
+  const usable = list;
   // The items of a run with several are listed singly: NAME#K.
   const choices = usable.flatMap((run) => run.items.filter(({dropped}) => dropped === null).map(({k, serial_number: serial}) => ({run, serial, name: run.items.length > 1 ? `${run.name}#${k}` : run.name})));
   const fill = (id, chosen) => byId(id).replaceChildren(...choices.map(({run, serial, name}) => element('option', {value: name, selected: name === chosen}, `${name} (${serial || t('no serial number')})${run.simulated ? ` ${t('SIMULATED')}` : ''}`)));
@@ -357,10 +429,12 @@ export async function showCompare(first, second) {
   fill('compare-b', second || choices[0]?.name);
   byId('compare-form').onsubmit = (event) => {
     event.preventDefault();
-    compare(byId('compare-a').value, byId('compare-b').value);
+    const address = `#compare/${encoded(byId('compare-a').value)}/${encoded(byId('compare-b').value)}`;  // It can be sent to others.
+    if (location.hash === address) compare(byId('compare-a').value, byId('compare-b').value); else location.hash = address;
   };
   byId('compare-form').querySelector('button').disabled = choices.length < 2;
   if (choices.length < 2) byId('compare-table').replaceChildren(element('p', {}, t('Two complete runs are needed.')));
+  else if (first && second) compare(byId('compare-a').value, byId('compare-b').value);
 }
 
 async function compare(a, b) {
@@ -376,9 +450,15 @@ async function compare(a, b) {
     return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
       signed(both.difference, decimals(both.standard_uncertainty)), small(both.standard_uncertainty), signed(both.e_n, 2)];
   };
+  const holder = place(), inOrder = (read) => OUTPUTS.map((_, j) => [0, 3, 6].map((first) => read(pair.properties[PROPERTIES[first + j]])));
+  clearCharts();
+  queueMicrotask(() => charts.push(overNames(holder, {name: t('E_n of the nine properties with bars of U; the table has the numbers'), x: t('property: u, v, w from left to right'), y: t('E_n: difference over its U (1)'),
+    names: [t('sensitivity'), t('angle'), t('offset')], values: inOrder(({e_n: ratio}) => ratio), us: inOrder(() => 0.5), unit: '1',
+    levels: [{y: 0, words: '', dash: []}, {y: 1, words: t('limits'), dash: [8, 4]}, {y: -1, words: '', dash: [8, 4]}]})));
   const simulated = list.filter((run) => run.simulated && [a, b].some((name) => name === run.name || name.startsWith(`${run.name}#`)));
   byId('compare-table').replaceChildren(
     element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), said(pair.why)),
+    element('h3', {}, t('E_n: a bar that does not reach zero is a difference larger than its U')), holder,
     scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
       [t('Property'), t('Unit'), 'A', t('std. unc. of A'), 'B', t('std. unc. of B'), t('B minus A'), t('std. unc. of it'), 'E_n (1)'], PROPERTIES.map(row))),
     element('ul', {}, ...data.notes.map((note) => element('li', {}, said(note)))));
@@ -386,7 +466,7 @@ async function compare(a, b) {
 
 // The control chart.
 
-export async function showChart(serial) {
+export async function showChart(serial, property = PROPERTIES[0]) {
   clearCharts();
   try {
     list = await fetchJson('/runs');
@@ -395,40 +475,86 @@ export async function showChart(serial) {
   }
   const measured = (run) => run.items.filter((item) => item.dropped === null).map((item) => item.serial_number);
   const items = [...new Set(list.filter((run) => run.state === 'complete').flatMap(measured).filter(Boolean))].sort();
-  byId('chart-item').replaceChildren(...items.map((item) => element('option', {value: item, selected: item === serial}, item)));
-  byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p}, inWords(p))));
+  // Charts of the register are told from the items of the folder by their group.
+  const frozen = await fetched('/check-charts').then((response) => (response.ok ? response.json() : []), () => []);
+  const group = (words, options) => (options.length ? [element('optgroup', {label: words}, ...options)] : []);
+  byId('chart-item').replaceChildren(...group(t('Approved baselines of the register'), frozen.map(({name}) => element('option', {value: `${FROZEN}${name}`, selected: `${FROZEN}${name}` === serial}, name))),
+    ...group(t('Items with runs in this folder'), items.map((item) => element('option', {value: item, selected: item === serial || (!serial && item === items[0])}, item))));
+  byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p, selected: p === property}, inWords(p))));
   byId('chart-form').onchange = () => drawChart(byId('chart-item').value, byId('chart-property').value);
   byId('chart-form').onsubmit = (event) => {
     event.preventDefault();
     drawChart(byId('chart-item').value, byId('chart-property').value);
   };
-  byId('chart-form').querySelector('button').disabled = items.length === 0;
-  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, t('No complete run of an item with a serial number exists yet.')));
-  else drawChart(byId('chart-item').value, PROPERTIES[0]);
+  byId('chart-form').querySelector('button').disabled = items.length + frozen.length === 0;
+  if (!items.length && !frozen.length) byId('chart-body').replaceChildren(element('p', {}, t('No complete run of an item with a serial number exists yet.')));
+  else drawChart(byId('chart-item').value, byId('chart-property').value);
+}
+
+let drawing = 0;  // Number of the chart that was asked for last: an answer to an earlier request draws nothing.
+
+// The frozen baseline of a check standard, and later runs judged by it.
+async function drawFrozen(name, property) {
+  const own = ++drawing;
+  let data;
+  try {
+    data = await fetchJson(`/check-charts/${encoded(name)}`);
+  } catch (error) {
+    return say('chart-body', error);
+  }
+  if (own !== drawing) return;
+  clearCharts();
+  const {baseline, points: later} = data, unit = data.units[PROPERTIES.indexOf(property)], centre = baseline.centre[property], sd = baseline.standard_deviation[property], edge = baseline.rules.shewhart * sd;
+  const rows = [...baseline.runs.map(({date, values}) => ({date, value: values[property], judged: null})), ...later.map(({date, properties}) => ({date, value: properties[property].value, judged: properties[property]}))];
+  const digits = decimals(sd), holder = place(), broken = (one) => (one === null ? t('baseline') : one.outside ? element('span', {class: 'grade-problem'}, t('OUTSIDE'), ': ', said(one.broken)) : t('inside'));
+  const words = t`Approved by ${data.approved_by}: centre ${number(centre, digits)} ${unit}; single values within ${number(centre - edge, digits)} to ${number(centre + edge, digits)} ${unit}. ` + (data.blocked ? t('The bench is blocked. ') : '')
+    + (data.waiting.length ? t`${data.waiting.length} measured runs are not judged yet.` : '');
+  byId('chart-body').replaceChildren(element('p', {id: 'chart-words', role: 'status', class: data.blocked ? 'grade-problem' : false}, words), holder,
+    scrollable('scroll-x', inWords(property), table(t`${inWords(property)}, of the chart ${name}, oldest first. z and the moving average are in standard deviations of the baseline.`, [t('Run'), t('Begun'), t`Value (${unit})`, 'z (1)', t('Moving average (1)'), t('Limits')],
+      rows.map(({date, value, judged}, i) => [i + 1, day(date), signed(value, digits), signed((value - centre) / sd, 1), judged ? signed(judged.ewma, 1) : DASH, broken(judged)]))));
+  const chart = new Chart(holder, {name: t`Control chart of ${inWords(property)}; the table has the numbers`, y: `${property} (${unit})`, series: [{output: 'u', label: t('value'), points: true, line: true, dash: []}],
+    x: {words: t('number of the run'), whole: [0.5, rows.length + 0.5], say: (x) => `${x}: ${rows[x - 1] ? timeText(rows[x - 1].date, 'date') : ''}`}});
+  chart.unit = unit;
+  chart.show(rows.map((_, i) => i + 1), [rows.map(({value}) => value)], {bars: [rows.map(() => sd)], rings: rows.flatMap(({judged}, i) => (judged?.outside ? [i] : [])),
+    marks: [{x: baseline.runs.length + 0.5}], levels: [{y: centre, words: t('centre'), dash: []}, {y: centre + edge, words: t('limits'), dash: [8, 4]}, {y: centre - edge, words: '', dash: [8, 4]}]});
+  charts.push(chart);
 }
 
 async function drawChart(serial, property) {
+  if (serial.startsWith(FROZEN)) return drawFrozen(serial.slice(FROZEN.length), property);
+  const own = ++drawing;
   let data;
   try {
     data = await fetchJson(`/history/${encoded(serial)}/${property}`);
   } catch (error) {
     return say('chart-body', error);
   }
+  if (own !== drawing) return;
   clearCharts();
   const points = data.runs.map((run, i) => ({run, x: i + 1, value: run.value, standard_uncertainty: run.standard_uncertainty, unit: run.unit})).filter((p) => p.value !== null);
   const limits = data.limits;
   const unit = points[0]?.unit || '1';
-  const canvas = element('canvas', {role: 'img', 'aria-label': t`Control chart of ${inWords(property)}; the table has the numbers`});
+  const holder = place();
   const words = limits
     ? t`Centre ${number(limits.centre, decimals(limits.standard_deviation))} ${unit}; limits ${number(limits.lower, decimals(limits.standard_deviation))} to ${number(limits.upper, decimals(limits.standard_deviation))} ${unit} (3 standard deviations from the mean moving range). ` + (limits.outside ? t`${limits.outside} outside.` : t('All inside.'))
     : t('Limits need at least two runs.');
   byId('chart-body').replaceChildren(
     element('p', {id: 'chart-words', role: 'status'}, words),
-    element('div', {class: 'plot'}, canvas),
+    holder,
     scrollable('scroll-x', inWords(property), table(t`${inWords(property)}, of item ${serial}, oldest first`, [t('Run'), t('Begun'), t`Value (${unit})`, t`std. uncertainty (${unit})`, t('Limits'), t('Verdict')],
       points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}${p.run.item ? `/${p.run.item}` : ''}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
         signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), p.run.simulated ? simulatedMark(p.run) : VERDICTS[p.run.verdict]]))));
-  charts.push(band(canvas, {x: t('number and day of the run'), y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), timeText(p.run.created_utc, 'date')]})), limits, marks: true}));
+  const chart = new Chart(holder, {name: t`Control chart of ${inWords(property)}; the table has the numbers`, y: `${property} (${unit})`,
+    series: [{output: 'u', label: t('value'), points: true, line: true, dash: []}],
+    x: {words: t('number and day of the run'), whole: [0.5, points.length + 0.5], say: (x) => `${x}: ${points[x - 1]?.run.name ?? ''}`,
+      splits: (min, max) => { const each = Math.max(1, Math.ceil((max - min) / 8)); return points.map(({x}) => x).filter((x) => x >= min && x <= max && (x - 1) % each === 0); },
+      values: (_, splits) => splits.map((x) => (points[x - 1] ? `${x}\n${timeText(points[x - 1].run.created_utc, 'date')}` : ''))},
+    picked: (i) => { location.hash = `#runs/${encoded(points[i].run.name)}${points[i].run.item ? `/${points[i].run.item}` : ''}`; }});
+  chart.unit = unit;
+  chart.show(points.map(({x}) => x), [points.map(({value}) => value)], {bars: [points.map((p) => p.standard_uncertainty)],
+    rings: points.flatMap((p, i) => (limits && (p.value < limits.lower || p.value > limits.upper) ? [i] : [])),
+    levels: limits ? [{y: limits.centre, words: t('centre'), dash: []}, {y: limits.upper, words: t('limits'), dash: [8, 4]}, {y: limits.lower, words: '', dash: [8, 4]}] : []});
+  charts.push(chart);
 }
 
 function against(limits, value) {

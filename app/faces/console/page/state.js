@@ -1,18 +1,29 @@
+import {duration, small} from '/text.js';
 import {t} from '/language.js';
 import {areAtRest, bannerState, plainState} from '/stop.js';
 
 // The state of the banner with all its details (plainState() in stop.js has none): a pure function of the messages of the server.
+// Phases that last are states of the banner. The others follow each other within seconds: they are the one state "Measuring", so
+// that the banner is steady, and only the small text of `phaseWords` changes.
 const PHASES = {
-  homing: [t('Homing'), 'busy', 'homing', t('The axes are homed')],
-  'warming up': [t('Warming up'), 'busy', 'settling', t('Warming up')],
-  held: [t('Held'), 'held', 'held', t('Held; the stage stands still')],
-  'waiting for a port to come back': [t('Waiting for a port'), 'fault', 'port', t('A port has vanished; waiting for it to come back')],
-  moving: [t('Moving'), 'busy', 'moving', t('The stage moves')],
-  settling: [t('Settling'), 'busy', 'settling', t('Waiting until the outputs are quiet')],
-  reading: [t('Reading'), 'busy', 'reading', t('Reading the accelerometer')],
-  'waiting for the temperature': [t('Waiting'), 'busy', 'settling', t('Waiting for the temperature to be stable')],
-  parking: [t('Parking'), 'busy', 'moving', t('The stage goes to zero')],
+  homing: [t('Homing'), 'homing', t('The axes are homed')],
+  'warming up': [t('Warming up'), 'settling', t('Warming up')],
+  held: [t('Held'), 'held', t('Held; the stage stands still')],
+  'waiting for a port to come back': [t('Waiting for a port'), 'port', t('A port has vanished; waiting for it to come back')],
+  'waiting for the temperature': [t('Waiting'), 'settling', t('Waiting for the temperature to be stable')],
 };
+const KINDS = {held: 'held', 'waiting for a port to come back': 'fault'};
+const BRIEF = {moving: t('the stage moves'), settling: t('settling'), reading: t('reading'), parking: t('the stage goes to zero')};
+
+// The brief phases in words, for a place that nobody has to read; empty for the others.
+export const phaseWords = (phase) => BRIEF[phase?.phase] ?? '';
+
+// How long a phase may last; empty: for ever. In simulated time that differs from the real time that a person sees pass.
+export function limitWords(phase) {
+  if (!Number.isFinite(phase?.limit_s)) return '';
+  const time = phase.limit_s < 1 ? small(phase.limit_s, 's') : duration(phase.limit_s);
+  return phase.limit_simulated ? t`${time} of simulated time ${t(phase.limit_words)}` : `${time} ${t(phase.limit_words)}`;
+}
 
 // The first action when an instrument fails, by the fault that its driver reports.
 const ADVICE = {
@@ -39,16 +50,21 @@ export function stateOf(view) {
     return {...plain, sentence: interrupted, todo: ADVICE[fault.fault] ?? t('Look at the log; then check the bench.')};
   }
   if (ended && ended.complete && !ended.words) return bannerState(t('Finished'), 'done', 'done', t('The levelling is complete. Its result is on the view Bench.'));
-  if (ended && ended.complete) return bannerState(t('Finished'), 'done', 'done', t('The run is complete. Result: '), {english: ended.words});
+  if (ended && ended.complete) {
+    // A result that cannot be certified never looks like one that can.
+    const [kind, icon] = ended.verdict === 'usable' ? ['done', 'done'] : ended.verdict === 'doubtful' ? ['held', 'fault'] : ['fault', 'fault'];
+    return bannerState(t('Finished'), kind, icon, t('The run is complete. Result: '), {english: ended.words});
+  }
   if (ended) return bannerState(t('Interrupted'), 'held', 'stop', t('The run is interrupted and can be resumed: '), {english: ended.words, todo: t('Resume it when the stage is clear.')});
   return plain;
 }
 
 function runningState(activity, phase) {
   if (!phase) return bannerState(t('Starting'), 'busy', 'homing', t('The run begins'));
-  const [word, kind, icon, sentence] = PHASES[phase.phase] ?? [phase.phase, 'busy', 'moving', phase.phase];
-  const limit = phase.limit_s === null || phase.limit_s === undefined ? null : {seconds: phase.limit_s, words: phase.limit_words, simulated: phase.limit_simulated};
   const asked = activity.hold_asked && phase.phase !== 'held' ? t('; it holds after this angle') : '';
+  if (!(phase.phase in PHASES)) return bannerState(t('Measuring'), 'busy', 'reading', t('The stage turns from angle to angle') + asked);
+  const [word, icon, sentence] = PHASES[phase.phase], limit = limitWords(phase);
   const todo = {held: t('Continue or stop when you are ready.'), 'waiting for a port to come back': t('Plug it in again; the run goes on by itself.')}[phase.phase] ?? '';
-  return bannerState(word, kind, icon, sentence + asked, {limit, todo, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});
+  return bannerState(word, KINDS[phase.phase] ?? 'busy', icon, sentence + asked,
+    {todo, limit: limit && t`Limit: ${limit}.`, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});
 }

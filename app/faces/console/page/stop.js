@@ -135,6 +135,11 @@ export function ask(request) {
   });
 }
 
+// Sends a request that is not answered.
+export function tell(request) {
+  if (connected()) socket.send(JSON.stringify(request));
+}
+
 // ---- The state of the bench, as far as Stop and a plain banner need it.
 
 let activity = null, bench = {state: 'on'}, fault = null;
@@ -177,9 +182,9 @@ function note(message) {
 
 // A state of the banner. word: the activity in one word; kind: colour of the banner and icon of the tab (favicon-KIND.svg); icon:
 // symbol of index.html; sentence: the activity in a sentence; english: a text of the program, which is appended to the sentence and
-// is translated if there are words for it; fault: the instrument at fault; todo: advice; limit: the time limit that runs; known:
-// false if no state has been received yet.
-export const bannerState = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sentence, fault: '', todo: '', limit: null, known: true, english: '', ...more});
+// is translated if there are words for it; fault: the instrument at fault; todo: advice; limit: the time limit that runs, in words;
+// known: false if no state has been received yet.
+export const bannerState = (word, kind, icon, sentence, more = {}) => ({word, kind, icon, sentence, fault: '', todo: '', limit: '', known: true, english: '', ...more});
 
 // The axes in words, where one of them is not confirmed at rest; empty otherwise.
 function axesInWords({x, z}) {
@@ -214,20 +219,22 @@ export function plainState(view) {
 
 // Shows a state that another module has determined. Once part of the page has failed this has no effect, since that module may no
 // longer follow the bench; from then on the banner shows plainState().
-export function showBanner(seen, more) {
-  if (!failure) write(seen, more);
+// count: the progress for the title of the page; situation: whether the data of #situation are those of a run.
+export function showBanner(seen, {count, situation}) {
+  if (failure) return;
+  byId('situation').hidden = !situation;
+  write(seen, count);
 }
 
 let written = '';
-// limit: the time limit that runs, in words; count: the progress for the title of the page.
-function write(seen, {limit = '', count = ''} = {}) {
+function write(seen, count = '') {
   const there = contact();
   const word = there ? seen.word : t('No contact');
   // While the process that holds the bench is silent or gone, the console still tells so, and what the guard of the axes says.
   const isPresent = there || !seen.known || (connected() && bench.state !== 'on');
   const sentence = isPresent ? seen.sentence : t`Last known: ${seen.word}. ${seen.sentence}`;
   const [kind, icon] = there ? [seen.kind, seen.icon] : ['lost', 'lost'];
-  const more = [seen.fault && t`At fault: ${seen.fault}.`, there && limit, seen.todo].filter(Boolean).join(' ');
+  const more = [seen.fault && t`At fault: ${seen.fault}.`, there && seen.limit, seen.todo].filter(Boolean).join(' ');
   const title = `${word}${there ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
   if (document.title !== title) document.title = title;
   const now = JSON.stringify([word, sentence, seen.english, more, kind, icon]);
@@ -260,6 +267,7 @@ function show() {
   const silent = silence(), lost = byId('contact'), failed = byId('failed'), problem = missing();
   if (silent.length || lost.childNodes.length) lost.replaceChildren(...silent);
   if (failed.textContent !== problem) failed.textContent = problem;
+  if (!rest || failure) byId('situation').hidden = true;  // Nobody keeps it up to date.
   if (!rest || failure) write(plainState({known: activity !== null, activity, bench, fault, axes: guarded}));
   // Everybody may stop, with control or without, while anything can move and while it is not known whether it does.
   const mayMove = (activity && !['idle', 'analysing'].includes(activity.activity)) || (!contact() && heardUtc !== null) || bench.state !== 'on' || !areAtRest(guarded);

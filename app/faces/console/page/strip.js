@@ -1,6 +1,6 @@
 // The strip of single readings. It shows one of several items: the chosen one, else the first that takes part.
 import {byId, element, number, signed, DASH} from '/text.js';
-import {OUTPUTS, plot, series} from '/plots.js';
+import {Chart, OUTPUTS} from '/plots.js';
 import {t} from '/language.js';
 
 const GROUPS = 400;  // Groups of all items, as many as the console keeps.
@@ -11,8 +11,8 @@ export class Strip {
     this.groups = [];
     this.items = [];  // As in the messages; empty: a single item, or the items are unknown.
     this.chosen = null;
-    this.plot = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
-      datasets: OUTPUTS.map((name) => series(name, name))});
+    this.chart = new Chart(byId('strip'), {name: t('Moving strip of the three outputs; the latest values are in the table below'), x: {words: t('time since the readings began (s)')}, y: t('output'),
+      series: OUTPUTS.map((output) => ({output, label: output, line: true}))});
     byId('strip-item').addEventListener('change', () => { this.chosen = Number(byId('strip-item').value); changed(); });
   }
 
@@ -50,10 +50,9 @@ export class Strip {
   draw() {
     const numbers = this.numbers(), shown = this.shown(numbers), groups = this.groups.filter(({item}) => item === shown);
     this.offer(numbers, shown);
-    OUTPUTS.forEach((_, j) => { this.plot.data.datasets[j].data = groups.map((group) => ({x: group.time_s, y: group.mean[j]})); });
     const last = groups.at(-1), unit = last ? last.unit : '';
-    if (unit) this.plot.options.scales.y.title.text = t`output (${unit})`;
-    this.plot.update('none');
+    this.chart.unit = unit;
+    this.chart.show(groups.map((group) => group.time_s), OUTPUTS.map((_, j) => groups.map((group) => group.mean[j])), {y: unit ? t`output (${unit})` : t('output')});
     byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
       element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
       element('td', {}, last ? t`${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));

@@ -1,74 +1,57 @@
-// Zooms a plot: a part is chosen by dragging over it, or with the keyboard; a double click or 0 shows all again.
-import {t} from '/language.js';
+// Zooms a chart: a part is chosen by dragging over it, with the wheel, two fingers, or the keyboard; a double click or 0 shows all.
+import {resetWords} from '/plots.js';
 
 const NEAREST = 1e-3;  // narrowest part, relative to the whole
 
-export const shade = {
-  id: 'shade',
-  afterDraw(chart) {
-    if (!chart.chosen) return;
-    const {top, height} = chart.chartArea, [from, to] = chart.chosen;
-    chart.ctx.save();
-    chart.ctx.fillStyle = 'rgb(128 128 128 / .3)';
-    chart.ctx.fillRect(Math.min(from, to), top, Math.abs(to - from), height);
-    chart.ctx.restore();
-  },
-};
-
 export function offerZoom(chart) {
-  const {canvas} = chart, axis = () => chart.options.scales.x;
-  const made = {min: axis().min, max: axis().max, step: axis().ticks.stepSize};
-  const whole = () => {
-    const all = chart.data.datasets.flatMap(({data}) => data.map(({x}) => x));
-    return {min: made.min ?? Math.min(...all), max: made.max ?? Math.max(...all)};
-  };
+  const {holder} = chart;
   const show = (min, max) => {
-    const all = whole(), least = NEAREST * (all.max - all.min);
-    const some = (min > all.min || max < all.max) && max - min >= least;
-    if (!some && max - min < least) return;
-    axis().min = some ? Math.max(min, all.min) : made.min;
-    axis().max = some ? Math.min(max, all.max) : made.max;
-    axis().ticks.stepSize = some ? undefined : made.step;
-    chart.update('none');
+    const [first, last] = chart.ends, least = NEAREST * (last - first);
+    if (max - min < least) return;
+    if (min <= first && max >= last) chart.zoom(null);
+    else chart.zoom(Math.max(min, first), Math.min(max, last));
   };
-  const all = () => show(-Infinity, Infinity);
-  const KEYS = {
-    '+': ({min, max}) => show(min + (max - min) / 4, max - (max - min) / 4),
-    '-': ({min, max}) => show(min - (max - min) / 2, max + (max - min) / 2),
-    ArrowLeft: ({min, max}) => move(min, max, -(max - min) / 8),
-    ArrowRight: ({min, max}) => move(min, max, (max - min) / 8),
-    0: all,
-  };
-  const move = (min, max, by) => {
-    const ends = whole(), step = Math.min(Math.max(by, ends.min - min), ends.max - max);
+  const move = (by) => {
+    const [first, last] = chart.ends, [min, max] = chart.shownX, step = Math.min(Math.max(by * (max - min), first - min), last - max);
     if (step !== 0) show(min + step, max + step);
   };
+  // factor: below 1 shows less. at: the place, 0 to 1, that stays.
+  const scale = (factor, at = 0.5) => {
+    const [min, max] = chart.shownX, room = (max - min) * (factor - 1);
+    show(min - room * at, max + room * (1 - at));
+  };
+  const scaleY = (factor) => {
+    const [low, high] = chart.shownY, room = (high - low) * (factor - 1) / 2;
+    chart.zoomY(low - room, high + room);
+  };
+  const KEYS = {'+': () => scale(0.5), '-': () => scale(2), ArrowLeft: () => move(-1 / 8), ArrowRight: () => move(1 / 8), PageUp: () => scaleY(0.5), PageDown: () => scaleY(2), 0: () => chart.all()};
 
-  canvas.tabIndex = 0;
-  canvas.title = t('Drag, or press + and -, to zoom; arrows move; double click or 0 shows all.');
-  canvas.addEventListener('keydown', (event) => {
+  holder.tabIndex = 0;
+  holder.title = resetWords();
+  holder.addEventListener('keydown', (event) => {
     const does = KEYS[event.key === '=' ? '+' : event.key];
     if (!does || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
-    does(chart.scales.x);
+    does();
   });
-  canvas.addEventListener('dblclick', all);
-  canvas.addEventListener('pointerdown', (event) => {
-    if (event.button !== 0 || event.pointerType === 'touch') return;  // A finger scrolls.
-    canvas.setPointerCapture(event.pointerId);
-    chart.chosen = [event.offsetX, event.offsetX];
-  });
-  canvas.addEventListener('pointermove', (event) => {
-    if (!chart.chosen) return;
-    chart.chosen[1] = event.offsetX;
-    chart.draw();
-  });
-  canvas.addEventListener('pointerup', () => {
-    if (!chart.chosen) return;
-    const [from, to] = [...chart.chosen].sort((a, b) => a - b), {x} = chart.scales;
-    chart.chosen = null;
-    if (to - from > 8) show(x.getValueForPixel(from), x.getValueForPixel(to));
-    chart.draw();
-  });
-  canvas.addEventListener('pointercancel', () => { chart.chosen = null; });
+  const placeOf = ({clientX}) => { const {left, width} = chart.plot.over.getBoundingClientRect(); return Math.min(1, Math.max(0, (clientX - left) / width)); };
+  // Without the focus the wheel scrolls the page; a pinch on a touch pad comes as a wheel with Ctrl.
+  holder.addEventListener('wheel', (event) => {
+    if (!event.ctrlKey && document.activeElement !== holder) return;
+    event.preventDefault();
+    const factor = Math.exp(Math.max(-1, Math.min(1, event.deltaY / 300)));
+    if (event.shiftKey) scaleY(factor); else scale(factor, placeOf(event));
+  }, {passive: false});
+  holder.addEventListener('pointerdown', () => holder.focus({preventScroll: true}));
+  // Two fingers: the distance between them.
+  let apart = null;
+  const distance = ([a, b]) => Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+  holder.addEventListener('touchmove', (event) => {
+    if (event.touches.length !== 2) return;
+    event.preventDefault();
+    const now = distance(event.touches);
+    if (apart) scale(apart / now, placeOf({clientX: (event.touches[0].clientX + event.touches[1].clientX) / 2}));
+    apart = now;
+  }, {passive: false});
+  holder.addEventListener('touchend', () => { apart = null; });
 }
