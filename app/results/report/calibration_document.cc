@@ -579,6 +579,60 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
   return section;
 }
 
+/// The response at each rate of a run at constant rates, and what belongs to the turning.
+Section motion_section(const MotionResult& motion) {
+  DocumentTable responses{
+      fmt::format("Amplitude relative to rest, and phase beyond that of a pure delay, each with its expanded "
+                  "uncertainty U (k = {:g}). At rest the response is that of the result.",
+                  kCoverageFactor),
+      {{"rate (degree/s)", CellKind::kNumber},
+       {"frequency (Hz)", CellKind::kNumber},
+       {"output"},
+       {"amplitude (1)", CellKind::kNumber},
+       {"U (1)", CellKind::kNumber},
+       {"phase (degree)", CellKind::kNumber},
+       {"U (degree)", CellKind::kNumber}},
+      {}};
+  const auto both = [](const Quantity& q) {
+    const double expanded = kCoverageFactor * q.standard_uncertainty;
+    return std::array<std::string, 2>{with_decimals(q.value, decimals_for(expanded), true),
+                                      two_digits(expanded)};
+  };
+  for (const RateResponse& response : motion.responses) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto [amplitude, u_amplitude] = both(response.amplitude[j]);
+      const auto [phase, u_phase] = both(response.phase);
+      responses.rows.push_back({fmt::format("{:.4g}", response.rate_deg_per_s),
+                                fmt::format("{:.4f}", response.frequency_hz),
+                                std::string(1, kAccelerometers[j]), amplitude, u_amplitude,
+                                j == 0 ? phase : "", j == 0 ? u_phase : ""});
+    }
+  }
+  DocumentTable others{"Delays, places of the elements, and offsets with the rate.",
+                       {{"quantity"},
+                        {"value", CellKind::kNumber},
+                        {"standard unc. u", CellKind::kNumber},
+                        {"unit", CellKind::kUnit}},
+                       {}};
+  const auto add = [&](const std::string& name, const Quantity& q) {
+    if (!std::isfinite(q.value)) return;
+    others.rows.push_back({name, with_decimals(q.value, decimals_for(q.standard_uncertainty), true),
+                           two_digits(q.standard_uncertainty), q.unit});
+  };
+  for (std::size_t j = 0; j < 3; ++j)
+    for (std::size_t k = 0; k < 3; ++k)
+      add(fmt::format("place of the element of {} along {}", kAccelerometers[j], "xyz"[k]),
+          motion.position[j][k]);
+  for (std::size_t i = 0; i < 2; ++i)
+    add(fmt::format("delay behind the encoder of {}", "XZ"[i]), motion.delay[i]);
+  for (std::size_t j = 0; j < 3; ++j) {
+    add(fmt::format("further delay of {}", kAccelerometers[j]), motion.delay_difference[j]);
+    add(fmt::format("offset of {} at 60 degrees/s", kAccelerometers[j]), motion.rate_offset[j]);
+  }
+  add("distance of the axes", motion.axes_distance);
+  return {"Response at each rate", {std::move(responses), rate_response_figure(motion), std::move(others)}};
+}
+
 /// The items that were measured with this one.
 Section tray_section(const AnalysedRun& run) {
   DocumentTable table{"Items of this run. The stage is estimated once, from those of the common fit.",
@@ -781,6 +835,8 @@ Document calibration_document(const ReportData& data) {
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
         document.sections.push_back(stage_section(data.record, each));
+      if (each.joint && each.joint->motion && each.verdict != Verdict::kNotUsable)
+        document.sections.push_back(motion_section(*each.joint->motion));
     }
     if (data.is_one_of_several()) document.sections.push_back(tray_section(*data.all));
     if (data.budget) document.sections.push_back(budget_section(data));

@@ -212,6 +212,42 @@ Figure harmonics_figure(const CalibrationResult& result) {
           script + plots + "unset multiplot\n", 270};
 }
 
+Figure rate_response_figure(const MotionResult& motion) {
+  constexpr double kMicro = 1e6, kMilli = 1e3;
+  // Points of one rate stand beside each other.
+  constexpr double kBeside = 0.02;
+  std::array<std::string, 3> amplitudes;
+  std::string phases;
+  for (const RateResponse& response : motion.responses) {
+    for (std::size_t j = 0; j < 3; ++j)
+      amplitudes[j] += fmt::format("{:.17g} {:.17g} {:.17g}\n",
+                                   response.frequency_hz * (1.0 + kBeside * (static_cast<double>(j) - 1.0)),
+                                   kMicro * (response.amplitude[j].value - 1.0),
+                                   kMicro * kCoverageFactor * response.amplitude[j].standard_uncertainty);
+    phases += fmt::format("{:.17g} {:.17g} {:.17g}\n", response.frequency_hz, kMilli * response.phase.value,
+                          kMilli * kCoverageFactor * response.phase.standard_uncertainty);
+  }
+  std::string script, plots = "plot ";
+  for (std::size_t j = 0; j < 3; ++j) {
+    const std::string name = fmt::format("$a{}", j);
+    script += fmt::format("{} << EOD\n{}EOD\n", name, amplitudes[j]);
+    plots += bars(name, 1, 2, kStyles[j].colour);
+    plots += fmt::format("{} using 1:2 with points pt {} ps 0.7 lc rgb '{}' title '{}'{}", name,
+                         kStyles[j].point, kStyles[j].colour, kStyles[j].name, j < 2 ? ", " : "\n");
+  }
+  script += fmt::format("$p << EOD\n{}EOD\n", phases) + kFrame;
+  script +=
+      "set multiplot layout 1,2\nset xlabel 'frequency of gravity (Hz)'\nset offsets graph 0.1, graph 0.1, "
+      "graph 0.1, graph 0.1\nset key on outside bottom center horizontal samplen 1\nset ylabel 'amplitude - "
+      "1 (10^{-6})'\n";
+  script += plots + "set key off\nset ylabel 'phase (0.001 degree)'\nplot " +
+            bars("$p", 1, 2, kStyles[0].colour) +
+            fmt::format("$p using 1:2 with points pt 7 ps 0.7 lc rgb '{}' title ''\n", kStyles[0].colour);
+  return {
+      fmt::format("Response at each rate; bars: k = {:g} times the standard uncertainty.", kCoverageFactor),
+      script + "unset multiplot\n", 270};
+}
+
 Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
   std::string data, plots;
   for (std::size_t i = 0; i < 3; ++i) {
