@@ -1,6 +1,6 @@
 // From a fault to its readings: an output that is stuck during a run flags an angle, and two clicks lead from the flag to the readings.
 import assert from 'node:assert/strict';
-import {BENCH, begin, complainsOfNothing, confirmDialog, eventually, look, served, stateIs, text} from './page_test.mjs';
+import {BENCH, begin, clicksToReadings, complainsOfNothing, confirmDialog, eventually, look, served, stateIs, text} from './page_test.mjs';
 
 // Some time into the run the output v keeps its value for some angles.
 const bench = `${BENCH}
@@ -18,13 +18,7 @@ step('a stuck output flags an angle; two clicks lead to its readings', async (pa
   await confirmDialog();
   await page.locator('#flagged a').waitFor();
   await page.locator('#flags').says(/stuck output/);
-  let clicks = 0;
-  const click = async (selector, of) => { await page.locator(selector, of).first().click(); ++clicks; };
-  await click('#flagged a');
-  await page.locator('.flagged-angle', {hasText: 'stuck output'}).waitFor();
-  await click('.flagged-angle', {hasText: 'stuck output'});
-  await page.locator('#angle-readings .plot').waitFor();
-  assert.equal(clicks, 2);
+  assert.equal(await clicksToReadings('stuck output'), 2);
   await eventually(async () => assert.ok((await chartOf(page, '#angle-readings .plot')).points >= 200));
   const {values: [u, v]} = await chartOf(page, '#angle-readings .plot');
   assert.ok(new Set(v).size < new Set(u).size / 4, 'the output v is seen to be stuck');

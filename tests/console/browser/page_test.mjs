@@ -94,6 +94,17 @@ export function begin({pace = null, bench = BENCH, prepare = () => {}, serve = [
   });
 }
 
+// Clicks from the number of flagged angles in the banner to the single readings of an angle with this flag.
+export async function clicksToReadings(flag) {
+  let clicks = 0;
+  const click = async (selector, of) => { await page.locator(selector, of).first().click(); ++clicks; };
+  await click('#flagged a');
+  await page.locator('.flagged-angle', {hasText: flag}).waitFor();
+  await click('.flagged-angle', {hasText: flag});
+  await page.locator('#angle-readings .plot').waitFor();
+  return clicks;
+}
+
 // The place of the first value on the page, in parts of the height of the screen, and what it is.
 export const firstDatum = (page) => page.evaluate(() => {
   const found = [...document.querySelectorAll('dd, tbody td, tbody th, progress, .verdict-word, #chart-words')]

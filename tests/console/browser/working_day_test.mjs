@@ -5,7 +5,7 @@ import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath} from 'node:url';
-import {begin, confirmDialog, contrastPictures, firstDatum, look, says, served, stateIs, text} from './page_test.mjs';
+import {begin, clicksToReadings, confirmDialog, contrastPictures, firstDatum, look, says, served, stateIs, text} from './page_test.mjs';
 import {logIn, makeRegister, PASSWORD} from './training_register.mjs';
 
 const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
@@ -88,12 +88,7 @@ step('the second item: a stuck output is flagged, its readings are two clicks aw
   await confirmDialog();
   await page.locator('#flagged a').waitFor();
   await says('#state', /^The run is complete/);
-  let clicks = 0;
-  const click = async (selector, of) => { await page.locator(selector, of).first().click(); ++clicks; };
-  await click('#flagged a');
-  await page.locator('.flagged-angle', {hasText: 'stuck output'}).waitFor();
-  await click('.flagged-angle', {hasText: 'stuck output'});
-  await page.locator('#angle-readings .plot').waitFor();
+  const clicks = await clicksToReadings('stuck output');
   console.log(`${clicks} clicks from the flag to the readings`);
   assert.equal(clicks, 2);
   await says('#verdict', /Doubtful/);
