@@ -326,6 +326,7 @@ export default {
   'Consoles of other computers': 'Konsolen anderer Rechner',
   'Does not answer': 'Antwortet nicht',
   'Not running': 'Läuft nicht',
+  'There are no residuals: the published protocol does not evaluate these angles, for example those of a run at constant rates. Their readings are below.': 'Es gibt keine Residuen: Das veröffentlichte Verfahren wertet diese Winkel nicht aus, zum Beispiel die eines Laufs mit konstanten Drehraten. Ihre Ablesungen stehen darunter.',
   'by an angle': 'um einen Winkel',
   'to an angle': 'auf einen Winkel',
   'Turn while held': 'Drehen, solange gehalten',

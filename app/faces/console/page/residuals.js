@@ -12,6 +12,7 @@ const TEXT = {
   band: t('Grey band: ±2 u of a mean, of the output with the largest u. What is outside is more than noise: the stage or the accelerometer. A red ring marks a flagged angle. A click on a point shows its readings.'),
   all: t('All angles as a table'), whole: t('All readings of the run'), temperature: t('temperature (°C)'), minutes: t('time since the run began (min)'), none: t('none'),
   asTable: t('As a table'), close: t('Close'),
+  noFit: t('There are no residuals: the published protocol does not evaluate these angles, for example those of a run at constant rates. Their readings are below.'),
 };
 const TURNS = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
 
@@ -116,6 +117,7 @@ export class Residuals {
   draw() {
     this.discardCharts();
     this.shown = [];  // Charts, each with its entries and their place along x.
+    if (!this.entries.some((e) => e.residual)) return this.holder.replaceChildren(element('p', {}, TEXT.noFit));
     const one = (title, name, x, entries, at, sync, kind = '') => {
       const holder = place(kind);
       this.holder.append(element('div', {class: kind === 'wide' ? 'across' : false}, element('h4', {}, title), holder));
