@@ -491,6 +491,12 @@ export async function showChart(serial, property = PROPERTIES[0]) {
   else drawChart(byId('chart-item').value, byId('chart-property').value);
 }
 
+// Places of the numbers of `count` runs on an axis, at most some eight of them.
+const numbersOf = (count) => (min, max) => {
+  const each = Math.max(1, Math.ceil((max - min) / 8));
+  return Array.from({length: count}, (_, i) => i + 1).filter((x) => x >= min && x <= max && (x - 1) % each === 0);
+};
+
 let drawing = 0;  // Number of the chart that was asked for last: an answer to an earlier request draws nothing.
 
 // The frozen baseline of a check standard, and later runs judged by it.
@@ -513,7 +519,7 @@ async function drawFrozen(name, property) {
     scrollable('scroll-x', inWords(property), table(t`${inWords(property)}, of the chart ${name}, oldest first. z and the moving average are in standard deviations of the baseline.`, [t('Run'), t('Begun'), t`Value (${unit})`, 'z (1)', t('Moving average (1)'), t('Limits')],
       rows.map(({date, value, judged}, i) => [i + 1, day(date), signed(value, digits), signed((value - centre) / sd, 1), judged ? signed(judged.ewma, 1) : DASH, broken(judged)]))));
   const chart = new Chart(holder, {name: t`Control chart of ${inWords(property)}; the table has the numbers`, y: `${property} (${unit})`, series: [{output: 'u', label: t('value'), points: true, line: true, dash: []}],
-    x: {words: t('number of the run'), whole: [0.5, rows.length + 0.5], say: (x) => `${x}: ${rows[x - 1] ? timeText(rows[x - 1].date, 'date') : ''}`}});
+    x: {words: t('number of the run'), whole: [0.5, rows.length + 0.5], splits: numbersOf(rows.length), say: (x) => `${x}: ${rows[x - 1] ? timeText(rows[x - 1].date, 'date') : ''}`}});
   chart.unit = unit;
   chart.show(rows.map((_, i) => i + 1), [rows.map(({value}) => value)], {bars: [rows.map(() => sd)], rings: rows.flatMap(({judged}, i) => (judged?.outside ? [i] : [])),
     marks: [{x: baseline.runs.length + 0.5}], levels: [{y: centre, words: t('centre'), dash: []}, {y: centre + edge, words: t('limits'), dash: [8, 4]}, {y: centre - edge, words: '', dash: [8, 4]}]});
@@ -547,7 +553,7 @@ async function drawChart(serial, property) {
   const chart = new Chart(holder, {name: t`Control chart of ${inWords(property)}; the table has the numbers`, y: `${property} (${unit})`,
     series: [{output: 'u', label: t('value'), points: true, line: true, dash: []}],
     x: {words: t('number and day of the run'), whole: [0.5, points.length + 0.5], say: (x) => `${x}: ${points[x - 1]?.run.name ?? ''}`,
-      splits: (min, max) => { const each = Math.max(1, Math.ceil((max - min) / 8)); return points.map(({x}) => x).filter((x) => x >= min && x <= max && (x - 1) % each === 0); },
+      splits: numbersOf(points.length),
       values: (_, splits) => splits.map((x) => (points[x - 1] ? `${x}\n${timeText(points[x - 1].run.created_utc, 'date')}` : ''))},
     picked: (i) => { location.hash = `#runs/${encoded(points[i].run.name)}${points[i].run.item ? `/${points[i].run.item}` : ''}`; }});
   chart.unit = unit;
