@@ -43,6 +43,8 @@ constexpr int kMostPendingEvents = 500;
 /// Lines that may wait for a console; beyond it they are dropped, and it gets a snapshot instead.
 constexpr std::size_t kMostLines = 2000;
 constexpr std::chrono::seconds kBenchBeat{1};
+/// The default socket of a bench is the name of its file with this end, hidden.
+constexpr std::string_view kSocketEnd = ".bench";
 
 std::string text_of_json(const Json& json) {
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
@@ -85,7 +87,13 @@ class BenchLock {
 }  // namespace
 
 std::filesystem::path default_bench_socket(const Session::Options& bench) {
-  return bench.runs / fmt::format(".{}.bench", bench.bench_file.stem().string());
+  return bench.runs / fmt::format(".{}{}", bench.bench_file.stem().string(), kSocketEnd);
+}
+
+std::optional<std::string> bench_of_socket(const std::string& file) {
+  if (!file.starts_with('.') || !file.ends_with(kSocketEnd) || file.size() <= 1 + kSocketEnd.size())
+    return std::nullopt;
+  return file.substr(1, file.size() - 1 - kSocketEnd.size());
 }
 
 struct BenchService::Impl {

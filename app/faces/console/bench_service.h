@@ -3,8 +3,10 @@
 #include <chrono>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <stop_token>
+#include <string>
 
 #include "app/faces/console/session.h"
 
@@ -18,6 +20,8 @@ class BenchIsHeld : public std::runtime_error {
 
 /// Default socket of the process that holds a bench: in the run folder, named after the bench file.
 std::filesystem::path default_bench_socket(const Session::Options& bench);
+/// The name of the bench whose default socket has this name; nothing: it is no such name.
+std::optional<std::string> bench_of_socket(const std::string& file);
 
 /// Holds a bench for consoles, in a process of its own: the instruments, the measuring thread, and the state
 /// that pages show. Consoles come and go over a Unix socket that only this user can reach; an activity goes

@@ -22,6 +22,7 @@ struct JoggedStage {
   StageAxisInfo info(StageAxis axis) const { return stage.identify().axes[index(axis)]; }
   void wait_until_stopped(StageAxis axis, double longest_s) const;
   void home_if_needed(StageAxis axis) const;
+  void go(StageAxis axis, Angle from, Angle target) const;
   Angle turn(const Jog& jog) const;
   Angle turn_while_held(const Jog& jog) const;
 };
@@ -51,6 +52,14 @@ void JoggedStage::home_if_needed(StageAxis axis) const {
                           fmt::format("axis {} stopped without finding its reference", to_string(axis)));
 }
 
+/// Moves an axis, and waits for as long as the way takes at its speed and the timeout beyond.
+void JoggedStage::go(StageAxis axis, Angle from, Angle target) const {
+  const double speed = info(axis).speed_deg_per_s;
+  stage.move_to(axis, target);
+  const double expected_s = speed > 0.0 ? std::abs((target - from).deg()) / speed : 0.0;
+  wait_until_stopped(axis, expected_s + protocol.motion_timeout_s);
+}
+
 /// Turns towards the end of the travel until the button is let go; then the axis is halted, and its
 /// controller is asked until it says that the axis stands.
 Angle JoggedStage::turn_while_held(const Jog& jog) const {
@@ -61,12 +70,9 @@ Angle JoggedStage::turn_while_held(const Jog& jog) const {
   const Angle from = stage.encoder_angle(jog.axis);
   const double target_deg =
       std::clamp((from + jog.angle).deg(), axis.travel_min.deg(), axis.travel_max.deg());
-  const double speed = axis.speed_deg_per_s;
-  const double expected_s = speed > 0.0 ? std::abs(target_deg - from.deg()) / speed : 0.0;
   try {
     if (end.let_go.stop_requested()) throw LetGo();
-    stage.move_to(jog.axis, Angle::degrees(target_deg));
-    wait_until_stopped(jog.axis, expected_s + protocol.motion_timeout_s);
+    go(jog.axis, from, Angle::degrees(target_deg));
   } catch (const InstrumentError&) {
     // The halt from the watcher's thread makes an exchange under way fail.
     if (!end.let_go.stop_requested() || end.stop.stop_requested()) throw;
@@ -87,12 +93,9 @@ Angle JoggedStage::turn_while_held(const Jog& jog) const {
 Angle JoggedStage::turn(const Jog& jog) const {
   if (jog.how == Jog::How::kWhileHeld) return turn_while_held(jog);
   home_if_needed(jog.axis);
-  const double speed = info(jog.axis).speed_deg_per_s;
   const Angle from = stage.encoder_angle(jog.axis);
   const Angle target = jog.how == Jog::How::kTo ? jog.angle : from + jog.angle;
-  stage.move_to(jog.axis, target);
-  const double expected_s = speed > 0.0 ? std::abs((target - from).deg()) / speed : 0.0;
-  wait_until_stopped(jog.axis, expected_s + protocol.motion_timeout_s);
+  go(jog.axis, from, target);
   const Angle encoder = stage.encoder_angle(jog.axis);
   // Half a degree: a jog only needs to arrive; its accuracy does not matter.
   if (!(std::abs((encoder - target).deg()) <= 0.5))

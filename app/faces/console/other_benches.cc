@@ -10,13 +10,12 @@
 #include <string_view>
 
 #include "app/faces/console/bench_channel.h"
+#include "app/faces/console/bench_service.h"
 
 namespace abcal::console {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-constexpr std::string_view kSocketEnd = ".bench";
 
 /// The whole state of a bench, asked for over its socket. Null: it does not answer in time; nothing: no
 /// process listens there.
@@ -45,8 +44,7 @@ std::optional<Json> snapshot_of(const std::filesystem::path& socket, std::chrono
 }
 
 Json tile_of(const std::filesystem::path& socket, std::chrono::milliseconds patience) {
-  const std::string file = socket.filename().string();
-  Json tile = {{"bench", file.substr(1, file.size() - 1 - kSocketEnd.size())},
+  Json tile = {{"bench", *bench_of_socket(socket.filename().string())},
                {"folder", std::filesystem::absolute(socket.parent_path()).lexically_normal().string()}};
   const auto snapshot = snapshot_of(socket, patience);
   tile["state"] = !snapshot ? "not running" : snapshot->is_object() ? "answers" : "silent";
@@ -68,9 +66,8 @@ Json other_benches(const std::vector<std::filesystem::path>& folders, std::chron
     std::error_code error;
     for (std::filesystem::directory_iterator at(folder, error), end; !error && at != end;
          at.increment(error)) {
-      const std::string file = at->path().filename().string();
       std::error_code ignored;
-      if (file.starts_with('.') && file.ends_with(kSocketEnd) && file.size() > 1 + kSocketEnd.size() &&
+      if (bench_of_socket(at->path().filename().string()) &&
           std::filesystem::is_socket(at->symlink_status(ignored)))
         sockets.push_back(at->path());
     }

@@ -361,7 +361,7 @@ Json RunLibrary::page(const PageAsked& asked) {
     if (!asked.state.empty() && run["state"] != asked.state) continue;
     if (!asked.item.empty() && !has_item(run, asked.item)) continue;
     if (!asked.bench.empty() && run.value("bench", "") != asked.bench) continue;
-    const std::string text = lower(run.dump());
+    const std::string text = words.empty() ? "" : lower(run.dump());
     if (std::ranges::all_of(words,
                             [&](const std::string& word) { return text.find(word) != std::string::npos; }))
       found.push_back(&run);
