@@ -76,9 +76,11 @@ struct Workshop::Book : std::enable_shared_from_this<Book> {
   }
 
   void enqueue(const std::shared_ptr<Order>& order) {
-    const auto older = std::ranges::find_if(
-        queue, [&](const auto& each) { return !order->turn.of.empty() && each->turn.of == order->turn.of; });
-    if (older != queue.end()) {
+    const auto is_of_same_person = [&](const auto& each) {
+      return !order->turn.of.empty() && each->turn.of == order->turn.of;
+    };
+    if (std::ranges::count_if(queue, is_of_same_person) >= Turn::kMostWaiting) {
+      const auto older = std::ranges::find_if(queue, is_of_same_person);
       boost::asio::post(io, [book = shared_from_this(), replaced = *older] {
         static const auto kReplaced = std::make_shared<const Product>(Product{
             429, "text/plain; charset=utf-8", "A newer request of the same person took its place.\n"});

@@ -36,7 +36,9 @@ void require_wanted(const std::stop_token& cancelled);
 
 /// When an order's turn comes.
 struct Turn {
-  /// The person that it is for. Of one person at most one order is made at a time, and the newest one waits;
+  /// Orders of one person that wait: a page that is being opened asks twice, and a person may have two pages.
+  static constexpr int kMostWaiting = 3;
+  /// The person that it is for. Of one person at most one order is made at a time, and the newest ones wait;
   /// those in between are answered with a refusal. Empty: it counts for nobody.
   std::string of{};
   bool first = false;  ///< It goes before waiting orders that are not.

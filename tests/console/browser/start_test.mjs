@@ -67,6 +67,19 @@ step('an answer to what was typed before enables nothing', async (page) => {
   await page.locator(yes).waitFor();
 });
 
+step('a question whose place newer ones took is asked again', async (page) => {
+  await page.evaluate(() => {
+    const asked = globalThis.fetch;
+    let refused = 0;
+    globalThis.fetch = (...request) => (++refused > 2 ? asked(...request) : Promise.resolve(new Response('A newer request took its place.', {status: 429})));
+    globalThis.fetchAsBefore = () => { globalThis.fetch = asked; return refused; };
+  });
+  await page.locator('#start-customer-number').fill('INV-40');
+  await page.locator(yes).waitFor();
+  assert.ok(await page.evaluate(() => globalThis.fetchAsBefore()) >= 3);
+  assert.doesNotMatch(await text('#start-notices'), /took its place/);
+});
+
 step('two presses start one run, of the item and the plan that were chosen', async (page) => {
   await page.locator('#start-steps').selectOption('72');
   await page.locator('#start-customer-number').fill('INV-42');

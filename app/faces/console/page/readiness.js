@@ -2,6 +2,7 @@
 import {byId, duration, element, number, DASH} from '/text.js';
 import {said} from '/said.js';
 import {fetched} from '/fetched.js';
+import {startFormAnswer} from '/start.js';
 import {operatorIn, t} from '/language.js';
 
 // The texts without values.
@@ -56,13 +57,7 @@ export class Readiness {
 
   async ask() {
     const number = this.asked = (this.asked ?? 0) + 1;
-    let answer;
-    try {
-      const response = await fetched('/start-form');
-      answer = response.ok ? await response.json() : {problems: [(await response.text()).trim()], warnings: []};
-    } catch (error) {
-      answer = {problems: [error.message], warnings: []};
-    }
+    const answer = await startFormAnswer();
     if (!this.runs) this.runs = await fetched('/runs?count=1').then((response) => response.json(), () => ({all: null})).then(({all}) => all);
     if (number !== this.asked) return;
     this.answer = answer;

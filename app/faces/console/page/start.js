@@ -27,6 +27,26 @@ const megabytes = (bytes) => (bytes === null ? DASH : bytes > 1e10 ? `${(bytes /
 // "1.2e-5": two significant digits, however small.
 const scientific = (value, unit) => (value === null ? DASH : `${value >= 0.01 ? small(value) : value.toExponential(1).replace('-', '−')}${unit ? ` ${unit}` : ''}`);
 
+const TOO_MANY = 429, AGAIN_MS = 500;
+
+// The run that would be started, with `fields` in place of the bench file's own: the answer of the console, which without a
+// `plan` tells in `problems` why. If newer questions of this person took its place (another page, or a form that is open), it is asked
+// again. signal: withdraws the question.
+export async function startFormAnswer(fields = {}, signal = undefined) {
+  const chosen = new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''));
+  try {
+    for (;;) {
+      const response = await fetched(`/start-form?${chosen}`, {signal});
+      if (response.ok) return await response.json();
+      const why = (await response.text()).trim();
+      if (response.status !== TOO_MANY) return {warnings: [], problems: [why]};
+      await new Promise((done) => setTimeout(done, AGAIN_MS));
+    }
+  } catch (error) {
+    return {warnings: [], problems: [String(error.message || error)]};
+  }
+}
+
 export class StartForm {
   // pace: simulated time over real time; 1 for real instruments. about: initial values of fields, e.g. {runs: 1} for the queue.
   constructor(pace, about = {}) {
@@ -87,7 +107,7 @@ export class StartForm {
       }
     };
     dialog.addEventListener('keydown', this.scan);
-    dialog.addEventListener('close', () => { dialog.removeEventListener('keydown', this.scan); this.closed = true; clearTimeout(this.soon); }, {once: true});
+    dialog.addEventListener('close', () => { dialog.removeEventListener('keydown', this.scan); this.closed = true; this.withdraw(); }, {once: true});
     this.ask();
   }
 
@@ -119,26 +139,25 @@ export class StartForm {
 
   // An answer to an earlier state of the form must not enable the button: it would start a run without what was typed since.
   askSoon() {
-    ++this.asked;
-    this.yes.disabled = true;
-    clearTimeout(this.soon);
+    this.withdraw();
     this.soon = setTimeout(() => this.ask(), QUIET_MS);
   }
 
-  async ask() {
+  // Drops the question that waits for its answer. @return the number of the next question
+  withdraw() {
     clearTimeout(this.soon);
-    const number = ++this.asked;
+    this.question?.abort();
+    this.question = new AbortController();
     this.yes.disabled = true;
+    return ++this.asked;
+  }
+
+  async ask() {
+    const number = this.withdraw();
     this.state.textContent = TEXT.reading;
     const first = this.answer === null, {serial_number: serial, ...others} = this.fields;
     const {runs, ...fields} = serial ? this.fields : {...others, maker: '', model: '', customer_number: ''};  // No serial number: the item of the bench file.
-    let answer;
-    try {
-      const response = await fetched(`/start-form?${new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''))}`);
-      answer = response.ok ? await response.json() : {warnings: [], problems: [(await response.text()).trim()]};
-    } catch (error) {
-      answer = {warnings: [], problems: [String(error.message || error)]};
-    }
+    const answer = await startFormAnswer(fields, this.question.signal);
     if (number !== this.asked || this.closed) return;  // Something else was typed meanwhile.
     this.state.textContent = '';
     if (first && answer.item) {
