@@ -189,9 +189,7 @@ ItemShare power_share(const ItemPoint& at, int output, int /*i*/) {
   const double y = at.y(output);
   double lower = 1.0;
   for (int k = 1; k < order; ++k) lower *= y;
-  double twice = order * (order - 1);
-  for (int k = 2; k < order; ++k) twice *= y;
-  return {lower * y, order * lower, 0.0, 0.0, twice};
+  return {lower * y, order * lower};
 }
 ItemShare absolute_share(const ItemPoint& at, int output, int /*i*/) {
   const double y = at.y(output);
@@ -313,10 +311,6 @@ void ItemPoint::turn(const StagePose& pose, const Eigen::Matrix3d& rows, const G
   turning << 0.0, -axis.z(), axis.y(), axis.z(), 0.0, -axis.x(), -axis.y(), axis.x(), 0.0;
   by_position = rows * (pose.acceleration_radps2 * turning - pose.rate_radps * pose.rate_radps * across) /
                 kStandardGravity;
-}
-
-double bent_swing(const ItemPoint& point, int output, const Eigen::Vector3d& slope, double curvature) {
-  return slope.dot(point.swing) - curvature * point.by_angle(output) * point.by_angle(output);
 }
 
 std::array<double, kSweepUnknowns> sweep_shares(double turned_rad) {

@@ -54,7 +54,8 @@ struct ItemPoint {
   double rate_radps = 0.0;                             ///< Rate of the axis that moves.
   double mean_rate_radps = 0.0;                        ///< Its mean over the sweep.
   Eigen::Vector3d by_angle = Eigen::Vector3d::Zero();  ///< Derivatives of y by its angle, 1/radian.
-  /// y less its mean over the turn: its second derivative by the angle, with the other sign.
+  /// y less its mean over the turn; of a response that bends, with what the bends add to it
+  /// (EffectModel::bent_point).
   Eigen::Vector3d swing = Eigen::Vector3d::Zero();
   /// Derivatives of the responses of u, v, w (rows) by the position of their elements, 1/m.
   Eigen::Matrix3d by_position = Eigen::Matrix3d::Zero();
@@ -63,10 +64,6 @@ struct ItemPoint {
   /// @param rows  of the linear responses: those of s, each relative to its S_j
   void turn(const StagePose& pose, const Eigen::Matrix3d& rows, const GravityAt& gravity);
 };
-
-/// The swing of a response that bends: slopes of it by the linear responses of u, v, w, and its second
-/// derivative by the output's own. A filter acts on the response as it is, with all its harmonics.
-double bent_swing(const ItemPoint& point, int output, const Eigen::Vector3d& slope, double curvature);
 
 /// The rate at which the relative sizes of the effects of motion are stated, radian/s (60 degrees/s).
 inline constexpr double kReferenceRate = 1.0471975511965976;
@@ -78,7 +75,6 @@ struct ItemShare {
   double by_y = 0.0;
   double by_next = 0.0;
   double by_last = 0.0;
-  double by_y_twice = 0.0;  ///< Second derivative by the output's own y.
 };
 
 /// Contribution of an unknown to the line response (the measurand): a relative change of the row, and an

@@ -480,27 +480,38 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   return out;
 }
 
-/// The point with the swing of an output as its effects bend it.
+/// Sums up how far the effects that bend an output take it from its linear response.
+double EffectModel::bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
+  const int first = layout_.own_count() * output + EffectLayout::kOwnFixed;
+  double sum = 0.0;
+  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+    const EffectLayout::OwnUnknown& own = layout_.own[i];
+    if (!own.effect->in_motion)
+      sum += own.effect->share(point, output, own.index).value * value(first + static_cast<int>(i));
+  }
+  return sum;
+}
+
+/// The point where an output bends: its y with the acceleration of its own place, and its swing with what the
+/// bends add. A filter takes the same share of all orders: account_for_motion() has taken back what it does
+/// to the higher ones beyond that.
 ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
   ItemPoint out = point;
   if (point.rate_radps == 0.0) return out;
-  // The response to all acceleration bends, that of its own place included.
   for (std::size_t i = 0; i < layout_.own.size(); ++i)
     if (layout_.own[i].effect->key == "position_mm")
       out.y(output) += layout_.own[i].effect->share(point, output, layout_.own[i].index).value *
                        value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
-  Eigen::Vector3d slope = Eigen::Vector3d::Unit(output);
-  double curvature = 0.0;
-  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-    if (layout_.own[i].effect->in_motion) continue;
-    const ItemShare share = layout_.own[i].effect->share(out, output, layout_.own[i].index);
-    const double p = value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
-    slope(output) += share.by_y * p;
-    slope((output + 1) % 3) += share.by_next * p;
-    slope((output + 2) % 3) += share.by_last * p;
-    curvature += share.by_y_twice * p;
+  // The mean over the turn from equal steps: exact for powers of y below their number.
+  constexpr int kTurnSteps = 8;
+  ItemPoint at = out;
+  double mean = 0.0;
+  for (int k = 0; k < kTurnSteps; ++k) {
+    const SinCos turned = sincos(Angle::degrees(360.0 * k / kTurnSteps));
+    at.y = out.y + (turned.cos - 1.0) * point.swing + turned.sin * point.by_angle;
+    mean += bend_at(at, output, value) / kTurnSteps;
   }
-  out.swing(output) = bent_swing(point, output, slope, curvature);
+  out.swing(output) += bend_at(out, output, value) - mean;
   return out;
 }
 

@@ -145,6 +145,7 @@ class EffectModel {
   /// Whether the stage turns at any of the readings.
   bool in_motion() const { return !options_.sweeps.empty(); }
   void list_sweeps();
+  double bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
   ItemPoint bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
   ItemPoint point_at(std::size_t n, const Eigen::Matrix3d& rows, const GravityAt& gravity,
                      const StageInputs& inputs) const;
