@@ -480,7 +480,8 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   return out;
 }
 
-/// Sums up how far the effects that bend an output take it from its linear response.
+/// Sums up what all effects add to the linear response of an output but those of motion. Drifts are the same
+/// all around the circle.
 double EffectModel::bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
   const int first = layout_.own_count() * output + EffectLayout::kOwnFixed;
   double sum = 0.0;
@@ -503,13 +504,20 @@ ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eige
       out.y(output) += layout_.own[i].effect->share(point, output, layout_.own[i].index).value *
                        value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
   // The mean over the turn from equal steps: exact for powers of y below their number.
-  constexpr int kTurnSteps = 8;
+  constexpr double kHalf = 0.5 * std::numbers::sqrt2;
+  constexpr std::array<std::array<double, 2>, 8> kCosAndSin{{{1.0, 0.0},
+                                                             {kHalf, kHalf},
+                                                             {0.0, 1.0},
+                                                             {-kHalf, kHalf},
+                                                             {-1.0, 0.0},
+                                                             {-kHalf, -kHalf},
+                                                             {0.0, -1.0},
+                                                             {kHalf, -kHalf}}};
   ItemPoint at = out;
   double mean = 0.0;
-  for (int k = 0; k < kTurnSteps; ++k) {
-    const SinCos turned = sincos(Angle::degrees(360.0 * k / kTurnSteps));
-    at.y = out.y + (turned.cos - 1.0) * point.swing + turned.sin * point.by_angle;
-    mean += bend_at(at, output, value) / kTurnSteps;
+  for (const auto& [cos, sin] : kCosAndSin) {
+    at.y = out.y + (cos - 1.0) * point.swing + sin * point.by_angle;
+    mean += bend_at(at, output, value) / kCosAndSin.size();
   }
   out.swing(output) += bend_at(out, output, value) - mean;
   return out;

@@ -52,7 +52,6 @@ export class StartForm {
   constructor(pace, about = {}) {
     this.pace = pace;
     this.fields = {maker: '', model: '', serial_number: '', customer_number: '', steps: '', dwell_readings: '', estimator: '', ...about};
-    this.asked = 0;
     this.answer = null;
   }
 
@@ -107,7 +106,7 @@ export class StartForm {
       }
     };
     dialog.addEventListener('keydown', this.scan);
-    dialog.addEventListener('close', () => { dialog.removeEventListener('keydown', this.scan); this.closed = true; this.withdraw(); }, {once: true});
+    dialog.addEventListener('close', () => { dialog.removeEventListener('keydown', this.scan); this.withdraw(); }, {once: true});
     this.ask();
   }
 
@@ -143,22 +142,22 @@ export class StartForm {
     this.soon = setTimeout(() => this.ask(), QUIET_MS);
   }
 
-  // Drops the question that waits for its answer. @return the number of the next question
+  // Drops the question that waits for its answer. @return what withdraws the next one
   withdraw() {
     clearTimeout(this.soon);
     this.question?.abort();
     this.question = new AbortController();
     this.yes.disabled = true;
-    return ++this.asked;
+    return this.question.signal;
   }
 
   async ask() {
-    const number = this.withdraw();
+    const withdrawn = this.withdraw();
     this.state.textContent = TEXT.reading;
     const first = this.answer === null, {serial_number: serial, ...others} = this.fields;
     const {runs, ...fields} = serial ? this.fields : {...others, maker: '', model: '', customer_number: ''};  // No serial number: the item of the bench file.
-    const answer = await startFormAnswer(fields, this.question.signal);
-    if (number !== this.asked || this.closed) return;  // Something else was typed meanwhile.
+    const answer = await startFormAnswer(fields, withdrawn);
+    if (withdrawn.aborted) return;  // Something else was typed meanwhile, or the form is closed.
     this.state.textContent = '';
     if (first && answer.item) {
       for (const name of ['maker', 'model', 'serial_number', 'customer_number']) this.set(name, answer.item[name]);
