@@ -237,7 +237,7 @@ class KilledSeriesTest : public TemperatureTest {
            fmt::format(
                "[chamber]\ndriver = \"{}\"\nmodel = \"{}\"\nport = \"{}\"\npause_output = 2\ndry_gas = true\n"
                "[temperature]\nset_points_degc = [{:g}, 30]\nreference_degc = {:g}\nramp_k_per_min = "
-               "0\nair_window_k = 20\nsoak_min_s = 0\nsoak_span_s = 8\nsoak_rate_k_per_min = 100\nend = "
+               "0\nair_window_k = 20\nsoak_min_s = 0\nsoak_span_s = 2\nsoak_rate_k_per_min = 100\nend = "
                "\"{}\"\n",
                chamber.driver, chamber.model, chamber.port, kSet, kSet, end);
   }

@@ -21,18 +21,23 @@ namespace {
 /// shorten the interval.
 constexpr double kIntervalS = 20.0;
 constexpr double kReadingsInSpan = 15.0;
-constexpr double kReadingPatienceS = 2.0;
+/// Instruments that send their temperature with some readings only send it once per second.
+constexpr double kTemperaturePatienceS = 2.0;
 constexpr double kTellEveryS = 600.0;
 /// A chamber is switched off only if its air is this near to 23 degC.
 constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
 
-/// The present temperature (degC) of the item's own sensor; nothing: it has none, or gave no reading.
+/// The present temperature (degC) of the item's own sensor; nothing: none of its readings told one.
 std::optional<double> item_temperature(Bench& bench) {
   Accelerometer& accelerometer = *bench.first().accelerometer;
   accelerometer.start();
   accelerometer.discard_pending();
-  const auto reading = accelerometer.next(bench.clock->now() + from_seconds(kReadingPatienceS));
+  const Clock::Instant deadline = bench.clock->now() + from_seconds(kTemperaturePatienceS);
+  std::optional<Reading> reading;
+  do {
+    reading = accelerometer.next(deadline);
+  } while (reading && !reading->temperature_degc && bench.clock->now() < deadline);
   // Stopped, it stays powered. A running simulated one would have to make the readings of hours.
   accelerometer.stop();
   return reading ? reading->temperature_degc : std::nullopt;

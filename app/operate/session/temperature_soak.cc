@@ -7,8 +7,6 @@
 namespace abcal {
 namespace {
 
-/// The readings must cover this part of the span before their slope says anything.
-constexpr double kCovered = 0.9;
 constexpr double kSecondsPerMinute = 60.0;
 
 }  // namespace
@@ -24,12 +22,12 @@ void SoakRule::add(double time_s, double air_degc, std::optional<double> item_de
   if (!item_degc) return;
   has_sensor_ = true;
   readings_.push_back({time_s, *item_degc});
-  while (readings_.front().time_s < time_s - config_.soak_span_s) readings_.pop_front();
+  // The last reading before the span stays, so that the readings cover it however far apart they are.
+  while (readings_.size() > 1 && readings_[1].time_s <= time_s - config_.soak_span_s) readings_.pop_front();
 }
 
 std::optional<double> SoakRule::rate_k_per_min() const {
-  if (readings_.size() < 3 ||
-      readings_.back().time_s - readings_.front().time_s < kCovered * config_.soak_span_s)
+  if (readings_.size() < 3 || readings_.back().time_s - readings_.front().time_s < config_.soak_span_s)
     return std::nullopt;
   double mean_s = 0.0, mean_degc = 0.0;
   for (const Temperature& reading : readings_) {

@@ -35,7 +35,7 @@ class SoakRule {
   double air_degc_ = 0.0, now_s_ = 0.0;
   std::optional<double> in_window_since_s_;
   bool has_sensor_ = false;
-  std::deque<Temperature> readings_;  ///< Readings within the span.
+  std::deque<Temperature> readings_;  ///< Readings within the span, and the last one before it.
 };
 
 }  // namespace abcal

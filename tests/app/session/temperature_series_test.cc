@@ -230,6 +230,20 @@ TEST(SoakRuleTest, WaitsForAirAndItem) {
   EXPECT_FALSE(rule.reached()) << "the air has left its window";
 }
 
+TEST(SoakRuleTest, ReadingsCoverTheSpanHoweverFarApartTheyAre) {
+  TemperatureConfig config;
+  config.soak_min_s = 0.0;
+  config.soak_span_s = 4.0;
+  config.soak_rate_k_per_min = 0.02;
+  SoakRule rule(config, 50.0);
+  for (const double time_s : {0.0, 1.3, 2.6, 3.9}) rule.add(time_s, 50.0, 41.2);
+  EXPECT_FALSE(rule.rate_k_per_min()) << "the span has not passed";
+  for (const double time_s : {5.2, 6.5, 7.8, 9.1}) {
+    rule.add(time_s, 50.0, 41.2);
+    EXPECT_TRUE(rule.reached()) << time_s << " s";
+  }
+}
+
 using LongTemperatureSeriesTest = TemperatureSeriesTest;
 
 TEST_F(LongTemperatureSeriesTest, CoefficientsLieWithinTheirUncertaintyIn200Series) {
