@@ -26,7 +26,7 @@ layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h protocol/plan/lim
 layer(protocol/statistics FOREIGN boost/math/)
 layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
 layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
-layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
+layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/model/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
 layer(protocol/estimators MAY ${numbers} FOREIGN Eigen/ fmt/ Random123/ hwy/)
 layer(protocol/uncertainty MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
 layer(protocol/temperature MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/)

@@ -6,12 +6,18 @@
 #include <string>
 #include <vector>
 
+#include "drivers/instrument/clock.h"
 #include "drivers/instrument/rotation_stage.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/run_context.h"
-#include "protocol/run/sweep_angle.h"
 
 namespace abcal {
+
+/// Where an encoder said that its axis was, in the middle between the question and its answer.
+struct AngleSample {
+  Clock::Instant at;
+  double angle_deg = 0.0;
+};
 
 /// Moves the axes of the stage to the angles of the plan and waits until they stand there: every angle is
 /// approached from below, and the encoder must stay inside the position window.

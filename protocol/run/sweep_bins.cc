@@ -81,10 +81,15 @@ class Noise {
   std::array<std::vector<double>, 3> distances_;
 };
 
+double angle_deg_at(const SweepAngle& turned, Clock::Instant at) {
+  return turned.angle_deg(to_seconds(at.time_since_epoch()));
+}
+
 /// When the axis was at an angle: three steps of Newton's.
 Clock::Instant time_of(const SweepAngle& turned, double angle_deg, Clock::Instant near) {
   for (int step = 0; step < 3; ++step)
-    near += from_seconds((angle_deg - turned.angle_deg(near)) / turned.rate_deg_per_s(near));
+    near += from_seconds((angle_deg - angle_deg_at(turned, near)) /
+                         turned.rate_deg_per_s(to_seconds(near.time_since_epoch())));
   return near;
 }
 
@@ -95,7 +100,7 @@ Curve fit_curve(const std::vector<SweepBin>& bins, const SweepAngle& turned) {
   for (const SweepBin& bin : bins) {
     for (const Reading& reading : bin.readings) {
       if (!reading.output.allFinite()) continue;
-      const Basis basis = basis_at(turned.angle_deg(reading.arrival));
+      const Basis basis = basis_at(angle_deg_at(turned, reading.arrival));
       normal += basis * basis.transpose();
       right += basis * reading.output.transpose();
     }
@@ -111,7 +116,7 @@ std::vector<SweepBin> bins_of_sweep(std::span<const PlannedAngle> angles, Angle 
   const double first_deg = angles.front().turning().deg();
   const double sense = turned.mean_rate_deg_per_s() < 0.0 ? -1.0 : 1.0;
   for (const Reading& reading : readings) {
-    const double steps = sense * (turned.angle_deg(reading.arrival) - first_deg) / step.deg();
+    const double steps = sense * (angle_deg_at(turned, reading.arrival) - first_deg) / step.deg();
     const double bin = std::floor(steps + 0.5);
     if (!(bin >= 0.0 && bin < static_cast<double>(bins.size()))) continue;
     bins[static_cast<std::size_t>(bin)].readings.push_back(reading);
@@ -123,7 +128,7 @@ std::vector<SweepBin> bins_of_sweep(std::span<const PlannedAngle> angles, Angle 
     std::vector<Eigen::Vector3d> off;
     for (const Reading& reading : bin.readings) {
       if (!reading.output.allFinite()) continue;
-      off.emplace_back(reading.output - curve.transpose() * basis_at(turned.angle_deg(reading.arrival)));
+      off.emplace_back(reading.output - curve.transpose() * basis_at(angle_deg_at(turned, reading.arrival)));
     }
     if (off.empty()) {
       bin.value.setConstant(std::numeric_limits<double>::quiet_NaN());

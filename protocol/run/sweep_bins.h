@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "drivers/instrument/accelerometer.h"
+#include "protocol/model/sweep_angle.h"
 #include "protocol/plan/rotation_plan.h"
-#include "protocol/run/sweep_angle.h"
 
 namespace abcal {
 

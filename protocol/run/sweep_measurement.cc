@@ -84,9 +84,10 @@ SweepAngle SweepMeasurement::angle_of(std::span<const PlannedAngle> angles,
   const double beyond = 0.5 * context_.settings.protocol.step.deg() + 0.05 * std::abs(rate);
   const double lowest = std::min(first.turning().deg(), angles.back().turning().deg()) - beyond;
   const double highest = std::max(first.turning().deg(), angles.back().turning().deg()) + beyond;
-  std::vector<AngleSample> inside;
+  std::vector<AngleAtTime> inside;
   for (const AngleSample& sample : samples)
-    if (sample.angle_deg >= lowest && sample.angle_deg <= highest) inside.push_back(sample);
+    if (sample.angle_deg >= lowest && sample.angle_deg <= highest)
+      inside.push_back({to_seconds(sample.at.time_since_epoch()), sample.angle_deg});
   const std::string where = fmt::format("axis {}, {}", to_string(turning_axis(first)), words_of(first));
   const std::optional<SweepAngle> turned = fit_sweep_angle(inside);
   if (!turned)
@@ -167,8 +168,9 @@ void SweepMeasurement::add_item(ItemChannel& channel, Stream& stream, const Swee
     channel.plausibility.require_possible(angles[k], statistics, bin.readings.size());
     ItemDwell measured{channel.k, planned_dwell(angles[k]), {}};
     DwellRecord& dwell = measured.dwell;
-    dwell.motion->rate_deg_per_s = turned.rate_deg_per_s(bin.middle);
-    dwell.motion->acceleration_deg_per_s2 = turned.acceleration_deg_per_s2(bin.middle);
+    const double passed_s = to_seconds(bin.middle.time_since_epoch());
+    dwell.motion->rate_deg_per_s = turned.rate_deg_per_s(passed_s);
+    dwell.motion->acceleration_deg_per_s2 = turned.acceleration_deg_per_s2(passed_s);
     dwell.motion->u_angle_deg = turned.u_deg();
     const bool turns_x = angles[k].turning_axis() == 0;
     dwell.encoder_x = turns_x ? angles[k].turning() : standing_;

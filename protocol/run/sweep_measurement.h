@@ -5,11 +5,11 @@
 #include <span>
 #include <vector>
 
+#include "protocol/model/sweep_angle.h"
 #include "protocol/record/run_file.h"
 #include "protocol/run/item_channels.h"
 #include "protocol/run/motion.h"
 #include "protocol/run/run_context.h"
-#include "protocol/run/sweep_angle.h"
 
 namespace abcal {
 

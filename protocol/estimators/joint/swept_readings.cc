@@ -7,11 +7,11 @@
 #include <complex>
 #include <cstddef>
 #include <functional>
-#include <numbers>
-#include <utility>
+#include <optional>
 #include <vector>
 
 #include "protocol/model/effects.h"
+#include "protocol/model/sweep_angle.h"
 
 namespace abcal {
 namespace {
@@ -124,67 +124,36 @@ double loss_of(const std::vector<SweepSines>& sweeps) {
   return std::max(0.0, loss * kReferenceRate * kReferenceRate);
 }
 
-/// The course of one sweep: angles with their times and rates, in the order of time.
-struct Passage {
-  double time_s = 0.0;
-  double angle_rad = 0.0;
-  double rate_radps = 0.0;
-  double acceleration_radps2 = 0.0;
-};
-
-/// A value between two, and its derivative by time, from values and derivatives there: Hermite's cubic.
-struct CubicEnd {
-  double value = 0.0;
-  double slope = 0.0;
-};
-CubicEnd between(const CubicEnd& a, const CubicEnd& b, double span, double x) {
-  const double rest = 1.0 - x;
-  return {a.value * (1.0 + 2.0 * x) * rest * rest + a.slope * span * x * rest * rest +
-              b.value * x * x * (3.0 - 2.0 * x) - b.slope * span * x * x * rest,
-          6.0 * x * rest * (b.value - a.value) / span + a.slope * rest * (1.0 - 3.0 * x) +
-              b.slope * x * (3.0 * x - 2.0)};
+double time_s(const DwellRecord& dwell) {
+  return dwell.time_s.value_or(0.0);
 }
 
-/// The passage of the axis `delay_s` before another one: between the passages of its sweep, beyond the first
-/// one by the rate and acceleration there.
-Passage passage_before(const std::vector<Passage>& sweep, const Passage& at, double delay_s) {
-  const double then = at.time_s - delay_s;
-  const auto after = std::ranges::upper_bound(sweep, then, {}, &Passage::time_s);
-  if (after == sweep.begin() || after == sweep.end()) {
-    return {then, at.angle_rad - delay_s * (at.rate_radps - 0.5 * delay_s * at.acceleration_radps2),
-            at.rate_radps - delay_s * at.acceleration_radps2, at.acceleration_radps2};
-  }
-  const Passage& b = *after;
-  const Passage& a = *(after - 1);
-  const double span = b.time_s - a.time_s;
-  const double x = (then - a.time_s) / span;
-  const CubicEnd angle = between({a.angle_rad, a.rate_radps}, {b.angle_rad, b.rate_radps}, span, x);
-  const CubicEnd rate =
-      between({a.rate_radps, a.acceleration_radps2}, {b.rate_radps, b.acceleration_radps2}, span, x);
-  return {then, angle.value, rate.value, rate.slope};
+/// The angle of a sweep as the function of time on which the angles of its readings lie, and those between
+/// them. Nothing if they are too few.
+std::optional<SweepAngle> turning_of(const CollectedReadings& data, const std::vector<std::size_t>& sweep) {
+  std::vector<AngleAtTime> passed;
+  for (const std::size_t n : sweep)
+    passed.push_back({time_s(*data.dwells[n]), turned_angle(*data.dwells[n]).deg()});
+  return fit_sweep_angle(passed);
 }
 
-/// Turns the readings' angles to those that the item saw, with the rate and the acceleration there.
-void account_for_delays(CollectedReadings& data, const Sweeps& sweeps) {
-  for (const std::vector<std::size_t>& sweep : sweeps) {
-    std::vector<Passage> passed;
-    for (const std::size_t n : sweep)
-      passed.push_back({data.dwells[n]->time_s.value_or(0.0), turned_angle(*data.dwells[n]).rad(),
-                        data.readings[n].rate_radps, data.readings[n].acceleration_radps2});
-    std::vector<Passage> in_time = passed;
-    std::ranges::sort(in_time, {}, &Passage::time_s);
-    for (std::size_t i = 0; i < sweep.size(); ++i) {
-      EffectReading& reading = data.readings[sweep[i]];
-      const Passage seen = passage_before(in_time, passed[i], data.delay_s[reading.experiment == 3 ? 1 : 0]);
-      const double behind = passed[i].angle_rad - seen.angle_rad;
-      const double s = std::sin(behind), c = std::cos(behind);
-      const double sin_alpha = reading.sin_alpha * c - reading.cos_alpha * s;
-      reading.cos_alpha = reading.cos_alpha * c + reading.sin_alpha * s;
-      reading.sin_alpha = sin_alpha;
-      reading.rate_radps = seen.rate_radps;
-      reading.acceleration_radps2 = seen.acceleration_radps2;
-    }
+/// Turns the angle of a reading to the one that the item saw, `delay_s` before, with the rate and the
+/// acceleration there.
+void account_for_delay(EffectReading& reading, const DwellRecord& dwell,
+                       const std::optional<SweepAngle>& turned, double delay_s) {
+  double behind = delay_s * (reading.rate_radps - 0.5 * delay_s * reading.acceleration_radps2);
+  if (turned) {
+    const double now = time_s(dwell), then = now - delay_s;
+    behind = Angle::degrees(turned->angle_deg(now) - turned->angle_deg(then)).rad();
+    reading.rate_radps = Angle::degrees(turned->rate_deg_per_s(then)).rad();
+    reading.acceleration_radps2 = Angle::degrees(turned->acceleration_deg_per_s2(then)).rad();
+  } else {
+    reading.rate_radps -= delay_s * reading.acceleration_radps2;
   }
+  const double s = std::sin(behind), c = std::cos(behind);
+  const double sin_alpha = reading.sin_alpha * c - reading.cos_alpha * s;
+  reading.cos_alpha = reading.cos_alpha * c + reading.sin_alpha * s;
+  reading.sin_alpha = sin_alpha;
 }
 
 /// Orders of the turn whose loss and phase in the item's filter are taken back.
@@ -200,10 +169,12 @@ std::complex<double> beyond_first_order(int m, double tangent) {
 }
 
 /// Takes back what the item's filter does to the harmonics of one sweep: errors of the stage and a ripple of
-/// its rate are faster than the turn, and the fit knows the filter at the turn only.
+/// its rate are faster than the turn, and the fit knows the filter at the turn only. The harmonics are those
+/// of an even turn, thus of the time: a filter knows no angles.
 void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& sweep, double loss) {
   constexpr int kUnknowns = 1 + 2 * kFilteredOrders;
   if (sweep.size() < 2 * static_cast<std::size_t>(kUnknowns)) return;
+  const double rate = data.readings[sweep.front()].mean_rate_radps;
   using Basis = Eigen::Matrix<double, kUnknowns, 1>;
   std::vector<Basis> bases;
   Eigen::Matrix<double, kUnknowns, kUnknowns> normal;
@@ -212,7 +183,7 @@ void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& 
   right.setZero();
   for (const std::size_t n : sweep) {
     const EffectReading& reading = data.readings[n];
-    const std::complex<double> turn(reading.cos_alpha, reading.sin_alpha);
+    const std::complex<double> turn = std::polar(1.0, rate * time_s(*data.dwells[n]));
     std::complex<double> power = 1.0;
     Basis& basis = bases.emplace_back();
     basis(0) = 1.0;
@@ -229,7 +200,6 @@ void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& 
   if (!(pivots.minCoeff() > 1e-3 * pivots.maxCoeff())) return;
   Eigen::Matrix<double, kUnknowns, 3> change = solver.solve(right);
   change.topRows<3>().setZero();
-  const double rate = data.readings[sweep.front()].mean_rate_radps;
   const double tangent = std::sqrt(2.0 * loss) * rate / kReferenceRate;
   for (int m = 2; m <= kFilteredOrders; ++m) {
     const std::complex<double> factor = 1.0 / beyond_first_order(m, tangent) - 1.0;
@@ -253,7 +223,13 @@ void account_for_motion(CollectedReadings& data) {
   find_mean_rates(data, sweeps);
   const std::vector<SweepSines> sines = sines_of(data, sweeps);
   data.delay_s = delays_of(sines);
-  account_for_delays(data, sweeps);
+  for (const std::vector<std::size_t>& sweep : sweeps) {
+    const std::optional<SweepAngle> turned = turning_of(data, sweep);
+    for (const std::size_t n : sweep) {
+      EffectReading& reading = data.readings[n];
+      account_for_delay(reading, *data.dwells[n], turned, data.delay_s[reading.experiment == 3 ? 1 : 0]);
+    }
+  }
   data.loss = loss_of(sines);
   if (!(data.loss > 0.0)) return;
   for (const std::vector<std::size_t>& sweep : sweeps) restore_harmonics(data, sweep, data.loss);

@@ -7,8 +7,8 @@
 #include <optional>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/model/sweep_angle.h"
 #include "protocol/run/experiment_run.h"
-#include "protocol/run/sweep_angle.h"
 #include "protocol/run/sweep_bins.h"
 #include "sim/sim_accelerometer.h"
 #include "sim/sim_bench.h"
@@ -29,13 +29,13 @@ Clock::Instant at_s(double seconds) {
 
 /// Samples of an axis at 60 degrees/s with a ripple of its rate of 1e-3, once a turn; late by a pattern of
 /// some milliseconds.
-std::vector<AngleSample> rippled_samples(double late_s) {
-  std::vector<AngleSample> samples;
+std::vector<AngleAtTime> rippled_samples(double late_s) {
+  std::vector<AngleAtTime> samples;
   for (int k = 0; k < 300; ++k) {
     const double t = 0.02 * k;
     const double late = late_s * (0.5 + 0.5 * std::sin(7.3 * k));
     const double even = 60.0 * (t - late);
-    samples.push_back({at_s(t), even + 1e-3 / kRadian * std::sin(even * kRadian)});
+    samples.push_back({t, even + 1e-3 / kRadian * std::sin(even * kRadian)});
   }
   return samples;
 }
@@ -45,10 +45,10 @@ TEST(SweepAngleTest, FindsRateAndRipple) {
   ASSERT_TRUE(turned);
   EXPECT_NEAR(turned->mean_rate_deg_per_s(), 60.0, 1e-4);
   // A quarter of a turn from zero: the ripple is at its largest, its rate is even, and it brakes.
-  EXPECT_NEAR(turned->angle_deg(at_s(1.5)), 90.0 + 1e-3 / kRadian, 1e-4);
-  EXPECT_NEAR(turned->rate_deg_per_s(at_s(1.5)), 60.0, 1e-2);
-  EXPECT_NEAR(turned->rate_deg_per_s(at_s(3.0)), 60.0 * (1.0 - 1e-3), 1e-2);
-  EXPECT_NEAR(turned->acceleration_deg_per_s2(at_s(1.5)), -60.0 * 60.0 * kRadian * 1e-3, 1e-2);
+  EXPECT_NEAR(turned->angle_deg(1.5), 90.0 + 1e-3 / kRadian, 1e-4);
+  EXPECT_NEAR(turned->rate_deg_per_s(1.5), 60.0, 1e-2);
+  EXPECT_NEAR(turned->rate_deg_per_s(3.0), 60.0 * (1.0 - 1e-3), 1e-2);
+  EXPECT_NEAR(turned->acceleration_deg_per_s2(1.5), -60.0 * 60.0 * kRadian * 1e-3, 1e-2);
 }
 
 TEST(SweepAngleTest, ItsUncertaintyFollowsTheScatterOfTheSamples) {
@@ -57,13 +57,13 @@ TEST(SweepAngleTest, ItsUncertaintyFollowsTheScatterOfTheSamples) {
   EXPECT_NEAR(turned->rms_deg(), 60.0 * 0.002 * 0.354, 0.005);
   EXPECT_NEAR(turned->u_deg(), turned->rms_deg() / std::sqrt(300.0), 1e-9);
   // Late by 1 ms on average.
-  EXPECT_NEAR(turned->angle_deg(at_s(3.0)), 180.0 - 0.06, 4.0 * turned->u_deg());
+  EXPECT_NEAR(turned->angle_deg(3.0), 180.0 - 0.06, 4.0 * turned->u_deg());
 }
 
 TEST(SweepAngleTest, NeedsSamples) {
-  const std::vector<AngleSample> few(20, {at_s(0.0), 0.0});
+  const std::vector<AngleAtTime> few(20, {0.0, 0.0});
   EXPECT_FALSE(fit_sweep_angle(few));
-  EXPECT_FALSE(fit_sweep_angle(std::vector<AngleSample>(30, {at_s(1.0), 0.0})));
+  EXPECT_FALSE(fit_sweep_angle(std::vector<AngleAtTime>(30, {1.0, 0.0})));
 }
 
 std::vector<PlannedAngle> circle(int steps, double rate_deg_per_s) {
@@ -96,7 +96,7 @@ std::vector<Reading> sine_readings(double noise) {
 SweepAngle even_turn() {
   SweepAngle::Coefficients even = SweepAngle::Coefficients::Zero();
   even(1) = 60.0;
-  return {at_s(0.0), even, 1e-3, 300};
+  return {0.0, even, 1e-3, 300};
 }
 
 TEST(SweepBinsTest, AValueIsThatAtTheAngleItself) {

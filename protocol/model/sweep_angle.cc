@@ -1,4 +1,4 @@
-#include "protocol/run/sweep_angle.h"
+#include "protocol/model/sweep_angle.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
@@ -20,20 +20,20 @@ using Coefficients = SweepAngle::Coefficients;
 
 }  // namespace
 
-double SweepAngle::phase_rad(Clock::Instant at) const {
-  return Angle::degrees(coefficients_(0) + coefficients_(1) * to_seconds(at - middle_)).rad();
+double SweepAngle::phase_rad(double time_s) const {
+  return Angle::degrees(coefficients_(0) + coefficients_(1) * (time_s - middle_s_)).rad();
 }
 
-double SweepAngle::angle_deg(Clock::Instant at) const {
-  double angle = coefficients_(0) + coefficients_(1) * to_seconds(at - middle_);
-  const double phase = phase_rad(at);
+double SweepAngle::angle_deg(double time_s) const {
+  double angle = coefficients_(0) + coefficients_(1) * (time_s - middle_s_);
+  const double phase = phase_rad(time_s);
   for (int m = 1; m <= kOrders; ++m)
     angle += coefficients_(2 * m) * std::sin(m * phase) + coefficients_(2 * m + 1) * std::cos(m * phase);
   return angle;
 }
 
-double SweepAngle::rate_deg_per_s(Clock::Instant at) const {
-  const double phase = phase_rad(at);
+double SweepAngle::rate_deg_per_s(double time_s) const {
+  const double phase = phase_rad(time_s);
   double by_phase = 1.0;
   for (int m = 1; m <= kOrders; ++m)
     by_phase += Angle::degrees(1.0).rad() * m *
@@ -41,8 +41,8 @@ double SweepAngle::rate_deg_per_s(Clock::Instant at) const {
   return coefficients_(1) * by_phase;
 }
 
-double SweepAngle::acceleration_deg_per_s2(Clock::Instant at) const {
-  const double phase = phase_rad(at);
+double SweepAngle::acceleration_deg_per_s2(double time_s) const {
+  const double phase = phase_rad(time_s);
   const double rate_radps = Angle::degrees(coefficients_(1)).rad();
   double sum = 0.0;
   for (int m = 1; m <= kOrders; ++m)
@@ -55,16 +55,16 @@ double SweepAngle::u_deg() const {
   return rms_deg_ / std::sqrt(static_cast<double>(samples_));
 }
 
-std::optional<SweepAngle> fit_sweep_angle(std::span<const AngleSample> samples) {
+std::optional<SweepAngle> fit_sweep_angle(std::span<const AngleAtTime> samples) {
   if (samples.size() < kLeastSamples) return std::nullopt;
-  const Clock::Instant middle = samples.front().at + (samples.back().at - samples.front().at) / 2;
+  const double middle_s = 0.5 * (samples.front().time_s + samples.back().time_s);
   const auto count = static_cast<Eigen::Index>(samples.size());
   Eigen::MatrixXd design(count, Coefficients::RowsAtCompileTime);
   Eigen::VectorXd angles(count);
   for (Eigen::Index i = 0; i < count; ++i) {
-    const AngleSample& sample = samples[static_cast<std::size_t>(i)];
+    const AngleAtTime& sample = samples[static_cast<std::size_t>(i)];
     design(i, 0) = 1.0;
-    design(i, 1) = to_seconds(sample.at - middle);
+    design(i, 1) = sample.time_s - middle_s;
     angles(i) = sample.angle_deg;
   }
   const Eigen::MatrixXd line = design.leftCols<2>();
@@ -93,7 +93,7 @@ std::optional<SweepAngle> fit_sweep_angle(std::span<const AngleSample> samples) 
     const Eigen::Index free = std::max<Eigen::Index>(1, count - Coefficients::RowsAtCompileTime);
     rms = std::sqrt((angles - design * found).squaredNorm() / static_cast<double>(free));
   }
-  return SweepAngle(middle, found, rms, samples.size());
+  return SweepAngle(middle_s, found, rms, samples.size());
 }
 
 }  // namespace abcal
