@@ -313,22 +313,34 @@ void ItemPoint::turn(const StagePose& pose, const Eigen::Matrix3d& rows, const G
                 kStandardGravity;
 }
 
-std::array<double, kSweepUnknowns> sweep_shares(double turned_rad) {
+SweepShares sweep_shares(double turned_rad) {
   constexpr double kPi = std::numbers::pi;
   // A slope of mean square 1 over the turn is the sum of +-2 sqrt 3 sin(m x)/(m pi), + for odd m.
-  double slope = turned_rad / kPi * std::numbers::sqrt3;
+  double line = turned_rad / kPi * std::numbers::sqrt3;
+  double line_slope = std::numbers::sqrt3 / kPi, line_curvature = 0.0;
   double left = 1.0;  // Share of its mean square.
-  std::array<double, kSweepUnknowns> out{1.0};
+  SweepShares out;
+  out.value[0] = 1.0;
   for (std::size_t m = 1; m <= kHarmonics; ++m) {
     const auto order = static_cast<double>(m);
-    const double sine = std::sin(order * turned_rad);
-    out[2 * m - 1] = std::numbers::sqrt2 * sine;
-    out[2 * m] = std::numbers::sqrt2 * std::cos(order * turned_rad);
-    const double amplitude = 2.0 * std::numbers::sqrt3 / (order * kPi);
-    slope -= (m % 2 == 1 ? amplitude : -amplitude) * sine;
+    const double sine = std::sin(order * turned_rad), cosine = std::cos(order * turned_rad);
+    const std::size_t of_sine = 2 * m - 1, of_cosine = 2 * m;
+    out.value[of_sine] = std::numbers::sqrt2 * sine;
+    out.slope[of_sine] = std::numbers::sqrt2 * order * cosine;
+    out.curvature[of_sine] = -std::numbers::sqrt2 * order * order * sine;
+    out.value[of_cosine] = std::numbers::sqrt2 * cosine;
+    out.slope[of_cosine] = -std::numbers::sqrt2 * order * sine;
+    out.curvature[of_cosine] = -std::numbers::sqrt2 * order * order * cosine;
+    const double amplitude = (m % 2 == 1 ? 2.0 : -2.0) * std::numbers::sqrt3 / (order * kPi);
+    line -= amplitude * sine;
+    line_slope -= amplitude * order * cosine;
+    line_curvature += amplitude * order * order * sine;
     left -= 0.5 * amplitude * amplitude;
   }
-  out.back() = slope / std::sqrt(left);
+  const double scale = 1.0 / std::sqrt(left);
+  out.value.back() = scale * line;
+  out.slope.back() = scale * line_slope;
+  out.curvature.back() = scale * line_curvature;
   return out;
 }
 

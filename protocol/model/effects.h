@@ -109,8 +109,15 @@ struct ItemEffect {
 /// its mean; sine and cosine of the orders 1 to kHarmonics; and a slope, without those orders. All but the
 /// mean have a mean square of 1 (sine and cosine: 1/2, times the root of 2).
 inline constexpr int kSweepUnknowns = 2 + 2 * kHarmonics;
+/// The parts of this course at one angle, and their derivatives by the angle: where the angle is wrong, so
+/// are its rate and its acceleration.
+struct SweepShares {
+  std::array<double, kSweepUnknowns> value{};
+  std::array<double, kSweepUnknowns> slope{};
+  std::array<double, kSweepUnknowns> curvature{};
+};
 /// @param turned_rad  since the middle of the sweep, -pi to pi
-std::array<double, kSweepUnknowns> sweep_shares(double turned_rad);
+SweepShares sweep_shares(double turned_rad);
 
 /// Whether a fit with or without drift and non-linearity estimates an effect: a size of zero leaves it out.
 bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, bool nonlinearity);

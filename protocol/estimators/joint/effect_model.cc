@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -13,6 +14,7 @@
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/reading_kernels.h"
 #include "protocol/estimators/shared/unusable_data.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -144,6 +146,7 @@ void EffectModel::choose_unknowns() {
     const auto* of_effect = measured(effect.name);
     const bool known = !(effect.prior(sizes) > 0.0) && !(of_effect != nullptr && *of_effect);
     if (known || (effect.key == "zero_deg" && !options_.mean_step)) continue;
+    if (effect.key == "axes_distance_mm") axes_distance_ = static_cast<int>(layout_.stage.size());
     for (int i = 0; i < effect.count; ++i) layout_.stage.push_back({&effect, i});
   }
   const double step = step_prior(sizes);
@@ -378,22 +381,62 @@ StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
                                    const std::vector<double>& steps) const {
   StageInputs inputs = StageInputs::Zero();
   const StageShare* shares = shares_.data() + n * layout_.stage.size();
-  for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
-    const double p = value(layout_.first_stage() + static_cast<int>(k));
-    inputs(shares[k].input) += shares[k].value * p;
-    inputs(shares[k].second_input) += shares[k].second_value * p;
-  }
+  const auto add = [&](const StageShare& share, int k) {
+    const double p = value(layout_.first_stage() + k);
+    inputs(share.input) += share.value * p;
+    inputs(share.second_input) += share.second_value * p;
+  };
+  for (int k = 0; k < static_cast<int>(layout_.stage.size()); ++k)
+    if (k != axes_distance_) add(shares[k], k);
+  if (axes_distance_ >= 0)
+    add(layout_.stage[static_cast<std::size_t>(axes_distance_)].effect->share(pose_at(n, value), 0),
+        axes_distance_);
   const int map = map_of(n);
   inputs(moving_angle_input(readings_[n].experiment)) +=
       map >= 0 ? value(layout_.first_map() + map) : steps[n] * readings_[n].step_factor;
   if (const int sweep = readings_[n].sweep; sweep >= 0) {
     double error = 0.0;
     for (int i = 0; i < kSweepUnknowns; ++i)
-      error += sweep_shares_[n][static_cast<std::size_t>(i)] *
+      error += sweep_shares_[n].value[static_cast<std::size_t>(i)] *
                value(layout_.first_sweep() + kSweepUnknowns * sweep + i);
     inputs(moving_angle_input(readings_[n].experiment)) += error;
   }
   return inputs;
+}
+
+StagePose EffectModel::pose_at(std::size_t n, const Eigen::VectorXd& value) const {
+  StagePose pose = poses_[n];
+  if (readings_[n].sweep < 0) return pose;
+  const auto errors =
+      value.segment<kSweepUnknowns>(layout_.first_sweep() + kSweepUnknowns * readings_[n].sweep);
+  const SweepShares& shares = sweep_shares_[n];
+  const double rate = readings_[n].rate_radps;
+  using Shares = Eigen::Map<const Eigen::Matrix<double, kSweepUnknowns, 1>>;
+  pose.rate_radps += rate * Shares(shares.slope.data()).dot(errors);
+  pose.acceleration_radps2 += rate * rate * Shares(shares.curvature.data()).dot(errors);
+  return pose;
+}
+
+EffectModel::ByMotion EffectModel::by_motion(const StagePose& pose, const Eigen::Matrix3d& rows) const {
+  const Eigen::Vector3d axis = pose.axis_in_platter();
+  Eigen::Vector3d common = Eigen::Vector3d::Zero();
+  if (axes_distance_ >= 0 && pose.about_x())
+    common =
+        value_(layout_.first_stage() + axes_distance_) * Eigen::Vector3d(pose.z.sin[1], pose.z.cos[1], 0.0);
+  std::array<Eigen::Vector3d, 3> places{common, common, common};
+  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+    if (layout_.own[i].effect->key != "position_mm") continue;
+    for (int j = 0; j < 3; ++j)
+      places[static_cast<std::size_t>(j)](layout_.own[i].index) +=
+          value_(layout_.own_count() * j + EffectLayout::kOwnFixed + static_cast<int>(i));
+  }
+  ByMotion by;
+  for (int j = 0; j < 3; ++j) {
+    const Eigen::Vector3d& place = places[static_cast<std::size_t>(j)];
+    by.rate(j) = -2.0 * pose.rate_radps * rows.row(j).dot(place - axis * axis.dot(place)) / kStandardGravity;
+    by.acceleration(j) = rows.row(j).dot(axis.cross(place)) / kStandardGravity;
+  }
+  return by;
 }
 
 std::vector<Eigen::Vector3d> EffectModel::came_from_at(const Eigen::VectorXd& value,
@@ -418,11 +461,12 @@ Eigen::VectorXd EffectModel::readings_at(const Eigen::VectorXd& value, const std
     } else {
       gravity.g = gravity_alone(poses_[n], inputs);
     }
-    ItemPoint point = point_at(n, at_value, gravity, inputs);
+    ItemPoint point = point_at(n, pose_at(n, value), at_value, gravity, inputs);
     point.came_from = came_from[n];
+    const ItemPoint placed = placed_point(point, value);
     for (int j = 0; j < 3; ++j) {
       const int first = layout_.own_count() * j;
-      const ItemPoint bent = bent_point(point, j, value);
+      const ItemPoint bent = bent_point(placed, j, value);
       double reading = point.y(j) + value(first + 3);
       for (std::size_t i = 0; i < layout_.own.size(); ++i)
         reading += layout_.own[i].effect->share(bent, j, layout_.own[i].index).value *
@@ -439,15 +483,18 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   const int moving = moving_angle_input(readings_[n].experiment);
   const StageInputs inputs = inputs_at(n);
   const GravityAt gravity = gravity_at(poses_[n], inputs);
-  const ItemPoint point = point_at(n, rows, gravity, inputs);
+  const StagePose pose = pose_at(n, value_);
+  const ItemPoint point = point_at(n, pose, rows, gravity, inputs);
+  const ByMotion by_motion = readings_[n].sweep >= 0 ? this->by_motion(pose, rows) : ByMotion{};
   const Eigen::Matrix<double, 3, kStageInputs> by_input = rows * gravity.by_input;
 
+  const ItemPoint placed = placed_point(point, value_);
   At out;
   for (int j = 0; j < 3; ++j) {
     double* row = jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data();
     std::fill_n(row, layout_.count(), 0.0);
     const int first = layout_.own_count() * j;
-    const ItemPoint bent = bent_point(point, j, value_);
+    const ItemPoint bent = bent_point(placed, j, value_);
     double reading = point.y(j) + value_(first + 3);
     Eigen::Vector3d slope = Eigen::Vector3d::Unit(j);  // by the linear responses of u, v, w
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
@@ -474,7 +521,12 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
     if (const int map = map_of(n); map >= 0) row[layout_.first_map() + map] = out.by_step(j);
     if (const int sweep = readings_[n].sweep; sweep >= 0) {
       double* of_sweep = row + layout_.first_sweep() + std::ptrdiff_t{kSweepUnknowns} * sweep;
-      for (std::size_t i = 0; i < kSweepUnknowns; ++i) of_sweep[i] = out.by_step(j) * sweep_shares_[n][i];
+      const SweepShares& sweep_shares = sweep_shares_[n];
+      const double by_slope = by_motion.rate(j) * readings_[n].rate_radps;
+      const double by_curvature = by_motion.acceleration(j) * std::pow(readings_[n].rate_radps, 2);
+      for (std::size_t i = 0; i < kSweepUnknowns; ++i)
+        of_sweep[i] = out.by_step(j) * sweep_shares.value[i] + by_slope * sweep_shares.slope[i] +
+                      by_curvature * sweep_shares.curvature[i];
     }
   }
   return out;
@@ -493,16 +545,27 @@ double EffectModel::bend_at(const ItemPoint& point, int output, const Eigen::Vec
   return sum;
 }
 
-/// The point where an output bends: its y with the acceleration of its own place, and its swing with what the
-/// bends add. A filter takes the same share of all orders: account_for_motion() has taken back what it does
-/// to the higher ones beyond that.
+/// The point with the acceleration of each output's own place in its y: that is what an output bends with,
+/// also where it bends with its neighbours.
+ItemPoint EffectModel::placed_point(const ItemPoint& point, const Eigen::VectorXd& value) const {
+  ItemPoint out = point;
+  if (point.rate_radps == 0.0) return out;
+  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+    const EffectLayout::OwnUnknown& own = layout_.own[i];
+    if (own.effect->key != "position_mm") continue;
+    for (int j = 0; j < 3; ++j)
+      out.y(j) += own.effect->share(point, j, own.index).value *
+                  value(layout_.own_count() * j + EffectLayout::kOwnFixed + static_cast<int>(i));
+  }
+  return out;
+}
+
+/// The swing of an output with what its bends add. A filter takes the same share of all orders:
+/// account_for_motion() has taken back what it does to the higher ones beyond that.
+/// @param point  a placed_point()
 ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
   ItemPoint out = point;
   if (point.rate_radps == 0.0) return out;
-  for (std::size_t i = 0; i < layout_.own.size(); ++i)
-    if (layout_.own[i].effect->key == "position_mm")
-      out.y(output) += layout_.own[i].effect->share(point, output, layout_.own[i].index).value *
-                       value(layout_.own_count() * output + EffectLayout::kOwnFixed + static_cast<int>(i));
   // The mean over the turn from equal steps: exact for powers of y below their number.
   constexpr double kHalf = 0.5 * std::numbers::sqrt2;
   constexpr std::array<std::array<double, 2>, 8> kCosAndSin{{{1.0, 0.0},
@@ -513,24 +576,24 @@ ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eige
                                                              {-kHalf, -kHalf},
                                                              {0.0, -1.0},
                                                              {kHalf, -kHalf}}};
-  ItemPoint at = out;
+  ItemPoint at = point;
   double mean = 0.0;
   for (const auto& [cos, sin] : kCosAndSin) {
-    at.y = out.y + (cos - 1.0) * point.swing + sin * point.by_angle;
+    at.y = point.y + (cos - 1.0) * point.swing + sin * point.by_angle;
     mean += bend_at(at, output, value) / kCosAndSin.size();
   }
-  out.swing(output) += bend_at(out, output, value) - mean;
+  out.swing(output) += bend_at(point, output, value) - mean;
   return out;
 }
 
 /// The item at a reading, with the signs of this point.
-ItemPoint EffectModel::point_at(std::size_t n, const Eigen::Matrix3d& rows, const GravityAt& gravity,
-                                const StageInputs& inputs) const {
+ItemPoint EffectModel::point_at(std::size_t n, const StagePose& pose, const Eigen::Matrix3d& rows,
+                                const GravityAt& gravity, const StageInputs& inputs) const {
   ItemPoint point{readings_[n].t, rows * gravity.g, signs_.mean[n]};
   if (readings_[n].sweep < 0) return point;
-  point.turn(poses_[n], rows, gravity);
+  point.turn(pose, rows, gravity);
   // The acceleration of what turns with the platter is the same all around the circle.
-  const Eigen::Vector3d axis = poses_[n].axis_in_platter();
+  const Eigen::Vector3d axis = pose.axis_in_platter();
   const Eigen::Vector3d force = inputs.segment<3>(kInputForceX);
   point.swing -= rows * (force - axis * axis.dot(force));
   return point;
@@ -628,7 +691,7 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
     const StageInputs inputs = inputs_at(n);
     const GravityAt gravity = gravity_at(poses_[n], inputs);
     const Eigen::Matrix<double, 3, kStageInputs> by_input = at_value * gravity.by_input;
-    const ItemPoint point = point_at(n, at_value, gravity, inputs);
+    const ItemPoint point = point_at(n, pose_at(n, value_), at_value, gravity, inputs);
     auto three = out.middleRows<3>(3 * static_cast<Eigen::Index>(n));
     for (std::size_t c = 0; c < columns.size(); ++c)
       three.col(static_cast<Eigen::Index>(c)) =

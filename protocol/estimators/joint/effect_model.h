@@ -146,9 +146,10 @@ class EffectModel {
   bool in_motion() const { return !options_.sweeps.empty(); }
   void list_sweeps();
   double bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
+  ItemPoint placed_point(const ItemPoint& point, const Eigen::VectorXd& value) const;
   ItemPoint bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
-  ItemPoint point_at(std::size_t n, const Eigen::Matrix3d& rows, const GravityAt& gravity,
-                     const StageInputs& inputs) const;
+  ItemPoint point_at(std::size_t n, const StagePose& pose, const Eigen::Matrix3d& rows,
+                     const GravityAt& gravity, const StageInputs& inputs) const;
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_signs();
@@ -166,6 +167,14 @@ class EffectModel {
   /// effects.
   ReadingRows changes_by_unknowns() const;
   Eigen::Matrix3d rows_of(const Eigen::VectorXd& value) const;
+  /// The pose of a reading with the rate and the acceleration that the errors of its sweep's angles give it.
+  StagePose pose_at(std::size_t n, const Eigen::VectorXd& value) const;
+  /// Derivatives of the readings by that rate and that acceleration: those of the elements' places.
+  struct ByMotion {
+    Eigen::Vector3d rate = Eigen::Vector3d::Zero();
+    Eigen::Vector3d acceleration = Eigen::Vector3d::Zero();
+  };
+  ByMotion by_motion(const StagePose& pose, const Eigen::Matrix3d& rows) const;
   StageInputs inputs_at(std::size_t n) const { return inputs_at(n, value_, step_); }
   StageInputs inputs_at(std::size_t n, const Eigen::VectorXd& value, const std::vector<double>& steps) const;
   /// The model at all angles, and the Jacobian (3 N x unknowns).
@@ -177,8 +186,9 @@ class EffectModel {
   EffectLayout layout_;
   std::vector<EffectUnknown> unknowns_;
   std::vector<StagePose> poses_;
-  std::vector<StageShare> shares_;  ///< Shares of the stage unknowns in reading 0, in reading 1, ...
-  std::vector<std::array<double, kSweepUnknowns>> sweep_shares_;  ///< For each reading, in motion.
+  int axes_distance_ = -1;                 ///< Number of this unknown among those of the stage; -1: none.
+  std::vector<StageShare> shares_;         ///< Shares of the stage unknowns in reading 0, in reading 1, ...
+  std::vector<SweepShares> sweep_shares_;  ///< For each reading, in motion.
   Eigen::Vector3d unit_;
   Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
   HysteresisSigns signs_;
