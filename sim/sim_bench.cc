@@ -665,6 +665,51 @@ Eigen::Array3d SimBench::filtered_response(const OutputTruth& truth, Clock::Inst
   return sum;
 }
 
+/// The sign of the change of each output's response.
+Eigen::Array3d SimBench::direction_at(const OutputTruth& truth, Clock::Instant t) const {
+  constexpr Clock::Duration kJustBefore = std::chrono::milliseconds(2);
+  const Clock::Instant before = t - kJustBefore;
+  return (mounted_matrix(truth, t) * (force(epoch_at(t), t) - force(epoch_at(before), before)))
+      .array()
+      .sign();
+}
+
+/// direction_at() behind low-pass and delay: hysteresis is one of the element, whose output is filtered. The
+/// signs jump, so that the memory is cut where they do.
+Eigen::Array3d SimBench::filtered_direction(const OutputTruth& truth, Clock::Instant t) const {
+  const Clock::Instant then = t - from_seconds(truth.group_delay_s);
+  if (truth.low_pass_hz == 0.0) return direction_at(truth, then);
+  const double constant_s = 1.0 / (2.0 * std::numbers::pi * truth.low_pass_hz);
+  struct Past {
+    double age = 0.0;  ///< Time constants.
+    Eigen::Array3d sign;
+  };
+  const auto past = [&](double age) {
+    return Past{age, direction_at(truth, then - from_seconds(constant_s * age))};
+  };
+  /// Share of the memory that is older.
+  const auto older = [&](double age) {
+    return truth.low_pass_order == 2 ? (1.0 + age) * std::exp(-age) : std::exp(-age);
+  };
+  constexpr std::array kAges{0.0, 1.0, 2.5, 5.0, 12.0};
+  constexpr double kShortest = 0.02;
+  Eigen::Array3d sum = Eigen::Array3d::Zero();
+  std::vector<Past> ahead;  // The nearest in time is at the back.
+  for (auto age = kAges.rbegin(); age != kAges.rend(); ++age) ahead.push_back(past(*age));
+  while (ahead.size() > 1) {
+    const Past near = ahead.back();
+    const Past& far = ahead[ahead.size() - 2];
+    if ((near.sign == far.sign).all() || far.age - near.age < kShortest) {
+      sum += 0.5 * (near.sign + far.sign) * (older(near.age) - older(far.age));
+      ahead.pop_back();
+    } else {
+      ahead.back() = past(0.5 * (near.age + far.age));
+      ahead.push_back(near);
+    }
+  }
+  return sum;
+}
+
 double SimBench::rate_over_reference(const Epoch& epoch, Clock::Instant t) const {
   constexpr double kReferenceDegPerS = 60.0;
   return (epoch.motion[0].velocity_deg_per_s(t) + epoch.motion[1].velocity_deg_per_s(t)) / kReferenceDegPerS;
@@ -692,9 +737,7 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
   if (!truth.rate_offset.isZero(0.0)) r += truth.rate_offset.array() * rate_over_reference(epoch, t);
   if (!truth.hysteresis.isZero(0.0) && (epoch.motion[0].moving(t) || epoch.motion[1].moving(t))) {
     // On the way the output comes from where it was just before.
-    constexpr Clock::Duration kJustBefore = std::chrono::milliseconds(2);
-    r += truth.hysteresis.array() *
-         (mounted * (f_P - force(epoch_at(t - kJustBefore), t - kJustBefore))).array().sign();
+    r += truth.hysteresis.array() * filtered_direction(truth, t);
   } else if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0)) {
     r += truth.hysteresis.array() * (mounted * (f_P - epoch.force_before)).array().sign();
   }

@@ -181,6 +181,8 @@ class SimBench {
   Eigen::Array3d linear_response(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d bent_response(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d filtered_response(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d direction_at(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d filtered_direction(const OutputTruth& truth, Clock::Instant t) const;
   double rate_over_reference(const Epoch& epoch, Clock::Instant t) const;
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
