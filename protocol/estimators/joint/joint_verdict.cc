@@ -223,6 +223,8 @@ std::string smaller_effects(const std::vector<EffectTest>& effects) {
   std::vector<const EffectTest*> smaller;
   for (const EffectTest& test : effects) {
     if (test.stated_zero || test.instead_of_noise || test.degrees_of_freedom < 1) continue;
+    // The delay is taken out of the angles before the fit: what is left of it tells nothing of its size.
+    if (test.key == "delay_s") continue;
     const double below = chi2_lower_tail(test.chi2, test.degrees_of_freedom);
     if (below < kLowChi2 / static_cast<double>(effects.size()) && test.times_stated > 0.0)
       smaller.push_back(&test);
@@ -257,6 +259,21 @@ std::string words_about_chi2(const EffectFit& fit, const JointTests& tests, Diag
         "stated sizes that are too large, and how many times by what this run shows: {}", smaller));
   return fmt::format("chi2 {:.4g} for {} degrees of freedom, far below (probability of one as low {:.1g})",
                      fit.chi2, fit.chi2_degrees_of_freedom, below);
+}
+
+/// An item whose filter is too slow for the rates, in words; empty: it is not. Up to this loss the powers 2
+/// and 4 of the rate describe a low-pass.
+std::string words_about_filter(const CollectedReadings& data) {
+  constexpr double kMostLoss = 0.03;
+  double fastest_radps = 0.0;
+  for (const EffectReading& reading : data.readings)
+    fastest_radps = std::max(fastest_radps, std::abs(reading.mean_rate_radps));
+  const double loss = data.loss * std::pow(fastest_radps / kReferenceRate, 2);
+  if (!(loss > kMostLoss)) return {};
+  return fmt::format(
+      "the item's filter is slow for the rotation: at {:.0f} degrees/s its response is smaller by {:.2g} %; "
+      "required: at most {:g} %, at lower rates ([protocol] rate_deg_per_s) or in steps",
+      Angle::radians(fastest_radps).deg(), 100.0 * loss, 100.0 * kMostLoss);
 }
 
 /// Adds a note on the meaning of O where an offset drifted by more than its uncertainty explains.
@@ -368,6 +385,8 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
         u(0), u(1), u(2), record.response_unit);
     diagnostics.notes.push_back(about_chi2);
   }
+  if (std::string words = words_about_filter(own.data); !words.empty())
+    contradictions.push_back(std::move(words));
   for (std::string& words : contradictions_of(tests, record.response_unit))
     contradictions.push_back(std::move(words));
   const std::string about_nonlinearity =
