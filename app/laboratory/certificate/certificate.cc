@@ -378,11 +378,6 @@ void require_certifiable(const ReportData& data) {
         data.path.string(),
         {{"[stage] record", "the result uses a record of the stage",
           "a run without one: certificates of results with a record are not issued yet"}});
-  if (is_at_constant_rate(data.record))
-    throw CertificateRefused(
-        data.path.string(),
-        {{"[protocol] motion", "constant_rate",
-          "a run in steps: certificates that state a response at frequencies are not issued yet"}});
   if (find_estimator(data.estimator).certifiable) return;
   throw CertificateRefused(data.path.string(),
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});

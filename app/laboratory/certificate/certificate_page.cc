@@ -132,6 +132,27 @@ Section result_section(const PageSource& from, xmlNode* measurement, const std::
   return section;
 }
 
+/// The response at each rate.
+Section rate_section(const PageSource& from, xmlNode* result) {
+  DocumentTable table = value_table(from);
+  for (xmlNode* rate : from.xml.nodes("dcc:data/dcc:list", result)) {
+    const auto number = [&](const char* ref_type) {
+      const auto found = from.xml.nodes(fmt::format("dcc:quantity[@refType='{}']", ref_type), rate);
+      if (found.empty()) throw std::runtime_error(std::string("a response has no ") + ref_type);
+      return values_of(from, found.front()).front();
+    };
+    const PageValue turn = number("abc_rate"), frequency = number("abc_frequency");
+    table.rows.push_back(
+        {fmt::format("{} {}, {} {}", frequency.value, frequency.unit, turn.value, turn.unit)});
+    for (xmlNode* quantity : from.xml.nodes("dcc:quantity[@refType='basic_measuredValue']", rate))
+      add_value_rows(table, from, quantity, false, false);
+  }
+  return {
+      from.content("dcc:name", result),
+      {std::move(table), Paragraph{from.content("dcc:description", result) + " " +
+                                   from.say("A: amplitude of each output; theta: phase of all of them.")}}};
+}
+
 /// @param as_stated  in the unit in which the limit is stated, with this unit; else in the SI unit of the
 /// decision
 std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& kind, bool as_stated) {
@@ -425,6 +446,10 @@ Document certificate_page(const std::string& xml) {
         decision_section(from, decisions,
                          pair ? from.say("Conformity") + ": " + from.content("dcc:name", measurement)
                               : from.say("Conformity")));
+  }
+  if (xmlNode* rates = result_of(from, last, "abc_responseAtRates")) {
+    second.push_back(rate_section(from, rates));
+    used = kRoomOnSecondPage;
   }
   if (xmlNode* shift = result_of(from, last, "abc_shift")) {
     second.push_back(shift_section(from, shift));

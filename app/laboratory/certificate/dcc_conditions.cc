@@ -146,35 +146,63 @@ void add_calibrated(XmlElement& list, const Words& words, const Equipment& from)
   if (from.due) add_identification(identifications, "other", format_date(*from.due), words("Valid until"));
 }
 
+void add_setting(XmlElement& settings, const std::string& ref_type, const Wording& name, double value,
+                 const std::string& unit) {
+  XmlElement quantity = settings.add("dcc:usedMethodQuantity");
+  quantity.attribute("refType", ref_type);
+  add_words(quantity, "dcc:name", name);
+  add_real(quantity, value, unit, name.text);
+}
+
+/// Rates of the sweeps, each once, in the order of the plan.
+void add_rates(XmlElement& settings, const Words& words, const ProtocolConfig& protocol) {
+  std::vector<double> added;
+  for (const double rate : protocol.rate_deg_per_s) {
+    if (std::find(added.begin(), added.end(), rate) != added.end()) continue;
+    added.push_back(rate);
+    add_setting(settings, "abc_rate", words("Rate of the turn"), rate, "\\degree\\second\\tothe{-1}");
+  }
+  add_setting(settings, "abc_sweeps", words("Sweeps of each experiment"), protocol.sweeps, "\\one");
+  add_setting(settings, "abc_stops", words("Dwells at rest in each experiment"), protocol.stops, "\\one");
+}
+
 /// The three experiments and their settings.
 void add_protocol(XmlElement& methods, const Certificate& certificate, const ReportData& data) {
   const Words& words = certificate.words;
   XmlElement protocol = methods.add("dcc:usedMethod");
   protocol.attribute("refType", "abc_protocol");
   add_words(protocol, "dcc:name", words("ABC protocol: three rotation experiments in gravity"));
+  const bool turns = is_at_constant_rate(data.record);
   add_words(
       protocol, "dcc:description",
-      words("The accelerometer is turned about the two axes of a rotation stage; at each angle the outputs "
-            "are averaged. The sensitivity matrix and the offsets follow from the outputs by least "
-            "squares, the intrinsic properties from the rows of the matrix."));
+      turns
+          ? words("The accelerometer is turned about the two axes of a rotation stage at constant rates, so "
+                  "that gravity becomes a sine, and its outputs are read on the way. The sensitivity "
+                  "matrix and the offsets at rest, and the response at each rate, follow by least squares "
+                  "from the outputs and the angles that the encoders tell, the intrinsic properties from "
+                  "the rows of the matrix.")
+          : words("The accelerometer is turned about the two axes of a rotation stage; at each angle the "
+                  "outputs are averaged. The sensitivity matrix and the offsets follow from the outputs by "
+                  "least squares, the intrinsic properties from the rows of the matrix."));
   add_line(protocol, "dcc:reference", "doi:10.6028/jres.126.038");
+  if (turns) add_line(protocol, "dcc:reference", "Gaitan, Geist, Measurement 189 (2022), 110528");
   if (!certificate.laboratory.job.procedure.empty())
     add_line(protocol, "dcc:reference",
              words("Procedure of the laboratory: {}", certificate.laboratory.job.procedure).text);
   XmlElement settings = protocol.add("dcc:usedMethodQuantities");
   const auto add = [&](const std::string& ref_type, const Wording& name, double value,
-                       const std::string& unit) {
-    XmlElement quantity = settings.add("dcc:usedMethodQuantity");
-    quantity.attribute("refType", ref_type);
-    add_words(quantity, "dcc:name", name);
-    add_real(quantity, value, unit, name.text);
-  };
+                       const std::string& unit) { add_setting(settings, ref_type, name, value, unit); };
   add("abc_steps", words("Angles of each experiment"), data.record.steps, "\\one");
   if (has_two_faces(data.record))
     add("abc_faces", words("Faces, in each of which half of the angles are measured"), kFaces, "\\one");
   add("abc_step", words("Rotation step"), data.record.step.deg(), "\\degree");
   if (!data.bench) return;
   const ProtocolConfig& settled = data.bench->protocol;
+  if (turns) {
+    add_rates(settings, words, settled);
+    add("abc_warmUp", words("Warm-up before the first angle"), settled.warm_up_s, "\\second");
+    return;
+  }
   if (settled.settle_auto) {
     add("abc_settle", words("Least wait from standstill to the first reading, ended by the outputs"),
         data.settle_times_s().first, "\\second");
@@ -197,6 +225,17 @@ void add_estimator(XmlElement& methods, const Words& words, const ReportData& da
                         "was declared before the first angle was measured."));
 }
 
+/// Unit of a size, in D-SI.
+std::string unit_of_effect(std::string_view unit) {
+  if (unit == "urad") return "\\micro\\radian";
+  if (unit == "radian") return "\\radian";
+  if (unit == "degree") return "\\degree";
+  if (unit == "s") return "\\second";
+  if (unit == "mm") return "\\milli\\metre";
+  if (unit == "1") return "\\one";
+  throw std::logic_error(fmt::format("a size in {}, which has no unit of D-SI here", unit));
+}
+
 /// Effects beyond a perfect stage and a linear item, with their assumed sizes and the sources of these.
 void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes& sizes) {
   XmlElement effects = uncertainty.add("dcc:usedMethodQuantities");
@@ -211,12 +250,7 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
               source == sizes.sources.end()
                   ? words("Standard uncertainty; a default that nobody stated")
                   : words("Standard uncertainty; source: {}", words.known(source->second)));
-    const bool in_urad = key.unit == "urad";
-    add_real(effect, key.get(sizes),
-             in_urad                ? "\\micro\\radian"
-             : key.unit == "degree" ? "\\degree"
-                                    : "\\one",
-             std::string(key.words));
+    add_real(effect, key.get(sizes), unit_of_effect(key.unit), std::string(key.words));
   }
 }
 

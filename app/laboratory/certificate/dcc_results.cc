@@ -12,6 +12,7 @@
 #include "app/laboratory/certificate/dcc_budget.h"
 #include "app/laboratory/certificate/dcc_conditions.h"
 #include "app/laboratory/certificate/dcc_quantity.h"
+#include "app/laboratory/certificate/dcc_rates.h"
 #include "app/laboratory/certificate/dcc_temperature.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
@@ -340,6 +341,7 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
     return;
   }
   add_si(results, words, stated);
+  add_response_at_rates(results, words, stated);
   const std::optional<CustomerEquation> equation = customer_equation(stated);
   if (equation) add_customer_equation(results, words, *equation);
   add_per_gravity(results, words, stated);

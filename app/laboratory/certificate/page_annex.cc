@@ -121,18 +121,20 @@ std::string scope_star(const PageSource& from, xmlNode* quantity, const std::str
   return is_marked(from.xml, quantity, kOutsideScopeMark, label) ? " *" : "";
 }
 
+void add_value_rows(DocumentTable& table, const PageSource& from, xmlNode* quantity, bool own,
+                    bool in_words) {
+  const std::map<std::string, std::string> degrees = degrees_of_freedom_of(from, quantity);
+  for (const PageValue& value : values_of(from, quantity, own)) {
+    const std::string star = scope_star(from, quantity, value.xml_label);
+    const auto nu = degrees.find("nu(" + value.label + ")");
+    table.rows.push_back({(in_words ? quantity_words(from, value.label) : value.label) + star, value.value,
+                          value.expanded, value.factor, nu == degrees.end() ? "∞" : nu->second, value.unit});
+  }
+}
+
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words) {
   table.rows.push_back({from.content("dcc:name", result)});
-  for (xmlNode* quantity : quantities_of(from, result)) {
-    const std::map<std::string, std::string> degrees = degrees_of_freedom_of(from, quantity);
-    for (const PageValue& value : values_of(from, quantity, own)) {
-      const std::string star = scope_star(from, quantity, value.xml_label);
-      const auto nu = degrees.find("nu(" + value.label + ")");
-      table.rows.push_back({(in_words ? quantity_words(from, value.label) : value.label) + star, value.value,
-                            value.expanded, value.factor, nu == degrees.end() ? "∞" : nu->second,
-                            value.unit});
-    }
-  }
+  for (xmlNode* quantity : quantities_of(from, result)) add_value_rows(table, from, quantity, own, in_words);
 }
 
 namespace {
@@ -140,12 +142,13 @@ namespace {
 /// Results that no page has yet, but for those with a form of their own.
 Section remaining_results(const PageSource& from, xmlNode* measurement,
                           const std::vector<std::string>& shown) {
-  static const std::array<std::string_view, 10> kElsewhere{
+  static const std::array<std::string_view, 11> kElsewhere{
       "abc_sensitivityMatrix", "abc_intrinsicSensitivities",
       "abc_intrinsicAngles",   "abc_offsets",
       "abc_conformity",        "abc_shift",
       "abc_correlations",      "abc_budget",
-      "abc_noResult",          "abc_customerEquation"};
+      "abc_noResult",          "abc_customerEquation",
+      "abc_responseAtRates"};
   DocumentTable table = value_table(from);
   table.may_break = true;
   for (xmlNode* result : from.xml.nodes("dcc:results/dcc:result", measurement)) {

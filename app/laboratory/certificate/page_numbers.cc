@@ -32,10 +32,10 @@ void replace_all(std::string& text, std::string_view from, std::string_view to) 
 /// Symbols of the words that units of the certificate have.
 const std::map<std::string_view, std::string_view>& symbols() {
   static const std::map<std::string_view, std::string_view> kSymbols{
-      {"one", ""},      {"volt", "V"},    {"ampere", "A"}, {"metre", "m"},    {"second", "s"},
-      {"kelvin", "K"},  {"pascal", "Pa"}, {"degree", "°"}, {"radian", "rad"}, {"degreecelsius", "°C"},
-      {"percent", "%"}, {"milli", "m"},   {"micro", "µ"},  {"nano", "n"},     {"kilo", "k"},
-      {"hecto", "h"},   {"coulomb", "C"}, {"pico", "p"}};
+      {"one", ""},      {"volt", "V"},    {"ampere", "A"},  {"metre", "m"},    {"second", "s"},
+      {"kelvin", "K"},  {"pascal", "Pa"}, {"degree", "°"},  {"radian", "rad"}, {"degreecelsius", "°C"},
+      {"percent", "%"}, {"milli", "m"},   {"micro", "µ"},   {"nano", "n"},     {"kilo", "k"},
+      {"hecto", "h"},   {"hertz", "Hz"},  {"coulomb", "C"}, {"pico", "p"}};
   return kSymbols;
 }
 
@@ -88,6 +88,7 @@ std::string typeset_unit(std::string_view d_si) {
     joined = is_prefix(word);
   }
   if (shown == "m s⁻²") shown = "m/s²";
+  if (shown == "° s⁻¹") shown = "°/s";
   replace_all(shown, "m/s2", "m/s²");
   if (!per_acceleration) return shown;
   return (shown.empty() ? "1" : shown) + "/(m/s²)";

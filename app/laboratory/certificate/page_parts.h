@@ -70,6 +70,8 @@ inline std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* resu
 
 /// A table of quantities with U and k; every result is a group of rows.
 DocumentTable value_table(const PageSource& from);
+/// The rows of one quantity, which may be a list.
+void add_value_rows(DocumentTable& table, const PageSource& from, xmlNode* quantity, bool own, bool in_words);
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words);
 
 /// " *" for a quantity, or one label of a list, that is outside the laboratory's scope; else nothing.

@@ -1,0 +1,14 @@
+#pragma once
+
+#include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/stated_result.h"
+#include "app/laboratory/certificate/words.h"
+
+namespace abcal {
+
+/// Adds the response at each rate of a run at a constant rate: frequency, amplitude relative to rest, phase
+/// beyond a delay (docs/constant_rate.md). Nothing for a run in steps.
+/// @throws NumberNotFinite
+void add_response_at_rates(XmlElement& results, const Words& words, const StatedResult& stated);
+
+}  // namespace abcal
