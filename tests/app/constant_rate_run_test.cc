@@ -100,7 +100,7 @@ TEST_F(ConstantRateRunTest, ItsReportSaysHowItWasMeasured) {
   EXPECT_THAT(html, testing::Not(HasSubstr("the stage stands still")));
 }
 
-TEST_F(ConstantRateRunTest, OtherProgramsAndCertificatesGetNothingThatLacksTheRate) {
+TEST_F(ConstantRateRunTest, OtherProgramsGetNothingThatLacksTheRate) {
   run();
   const ProgramResult csv = abcal({"report", "a.run", "--csv", "a.csv"});
   EXPECT_NE(csv.exit_code, 0);
@@ -110,9 +110,18 @@ TEST_F(ConstantRateRunTest, OtherProgramsAndCertificatesGetNothingThatLacksTheRa
   EXPECT_THAT(abc.out, HasSubstr("the stage turned at constant rates"));
 }
 
+TEST_F(ConstantRateRunTest, AnItemThatIsSlowerThanTheRotationMakesTheResultDoubtful) {
+  write_bench(replaced(kBench, "low_pass_hz = 5.0", "low_pass_hz = 0.5"));
+  const ProgramResult done = abcal({"run", "bench.toml", "-o", "a.run"});
+  EXPECT_THAT(done.out + done.err, HasSubstr("the item's filter is slow for the rotation: at 60 degrees/s its "
+                                             "response is smaller by 5"));
+  const auto json = nlohmann::json::parse(abcal({"analyse", "a.run", "--json"}).out);
+  EXPECT_EQ(json.at("verdict"), "doubtful");
+}
+
 TEST_F(ConstantRateRunTest, WhatCannotBeMeasuredIsRefusedByThePlan) {
   EXPECT_THAT(refusal("[60, 20]", "[60, 60]"), HasSubstr("a second rate, stops, or a stated"));
-  EXPECT_THAT(refusal("[60, 20]", "[180, 20]"), HasSubstr("rate_deg_per_s"));
+  EXPECT_THAT(refusal("[60, 20]", "[200, 20]"), HasSubstr("rate_deg_per_s"));
   EXPECT_THAT(refusal("rate_hz = 100.0", "rate_hz = 20.0"), HasSubstr("readings at 20 Hz fall on a step"));
   EXPECT_THAT(
       refusal("driver = \"simulated\"\n[accelerometer]", "driver = \"manual_stage\"\n[accelerometer]"),

@@ -229,7 +229,7 @@ void visit_temperature(KeyVisitor& keys, TemperatureConfig& t) {
 }
 
 /// Up to here the uncertainties are known to cover (docs/constant_rate.md).
-constexpr Range kSweepRate{0.0, 60.0, true};
+constexpr Range kSweepRate{0.0, 180.0, true};
 
 void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
