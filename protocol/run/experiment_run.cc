@@ -50,7 +50,7 @@ class ExperimentRun {
           items_.first().settling.warm_up();
           items_.wait_until_stable();
         }
-        items_.learn_noise();
+        if (has_dwells_at_rest()) items_.learn_noise();
         drop_failed();
         if (last_) measure_last_again(*last_);
         measure_missing();
@@ -76,6 +76,11 @@ class ExperimentRun {
       motion_.home(axis);
       context_.stopwatch.add_moving(context_.clock.now() - begin);
     }
+  }
+
+  /// Only they need to know when the outputs are quiet.
+  bool has_dwells_at_rest() const {
+    return std::ranges::any_of(plan_, [](const PlannedAngle& angle) { return angle.sweep == 0; });
   }
 
   void measure_missing() {

@@ -52,24 +52,27 @@ struct Design {
   double reading_hz;
   double encoder_jitter_s;
   double speed_deg_per_s;
+  double acceleration_deg_per_s2;
   double span_s;  ///< Time of the run, over which the item drifts.
   std::array<double, kGroups> limits;
 };
 const std::array<Design, 2>& designs() {
   static const std::array<Design, 2> kDesigns{
-      Design{"60 up, 20 down (degree/s), 100 Hz, encoder polled (jitter 1 ms)",
+      Design{"60 up, 20 down (degree/s), 200 degree/s2, 100 Hz, encoder polled (jitter 1 ms)",
              {60.0, 20.0},
              100.0,
              1e-3,
              60.0,
-             89.0,
+             200.0,
+             87.0,
              {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0}},
-      Design{"180 up, 180 down, 20 up (degree/s), 200 Hz, encoder recorded (jitter 0.05 ms)",
+      Design{"180 up, 180 down, 20 up (degree/s), 300 degree/s2, 200 Hz, encoder recorded (jitter 0.05 ms)",
              {180.0, 180.0, 20.0},
              200.0,
              5e-5,
              180.0,
-             98.0,
+             300.0,
+             90.0,
              {1.1e-5, 0.0, 0.0, 0.0, 1e-4, 0.01}}};
   return kDesigns;
 }
@@ -113,7 +116,7 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   for (sim::AxisTruth* axis : {&truth.x, &truth.z}) {
     axis->rate_ripple = kRipple;
     axis->speed_deg_per_s = design.speed_deg_per_s;
-    axis->acceleration_deg_per_s2 = 200.0;
+    axis->acceleration_deg_per_s2 = design.acceleration_deg_per_s2;
     axis->travel_min = Angle::degrees(-720.0);
     axis->travel_max = Angle::degrees(720.0);
   }
@@ -121,7 +124,7 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   protocol.motion = kMotionNames[1];
   protocol.rate_deg_per_s = design.rates;
   protocol.sweeps = static_cast<int>(design.rates.size());
-  protocol.acceleration_deg_per_s2 = 200.0;
+  protocol.acceleration_deg_per_s2 = design.acceleration_deg_per_s2;
   protocol.steps = 36;
   protocol.step = Angle::degrees(10.0);
   protocol.check_poses = false;
