@@ -261,21 +261,6 @@ std::string words_about_chi2(const EffectFit& fit, const JointTests& tests, Diag
                      fit.chi2, fit.chi2_degrees_of_freedom, below);
 }
 
-/// An item whose filter is too slow for the rates, in words; empty: it is not. Up to this loss the powers 2
-/// and 4 of the rate describe a low-pass.
-std::string words_about_filter(const CollectedReadings& data) {
-  constexpr double kMostLoss = 0.03;
-  double fastest_radps = 0.0;
-  for (const EffectReading& reading : data.readings)
-    fastest_radps = std::max(fastest_radps, std::abs(reading.mean_rate_radps));
-  const double loss = data.loss * std::pow(fastest_radps / kReferenceRate, 2);
-  if (!(loss > kMostLoss)) return {};
-  return fmt::format(
-      "the item's filter is slow for the rotation: at {:.0f} degrees/s its response is smaller by {:.2g} %; "
-      "required: at most {:g} %, at lower rates ([protocol] rate_deg_per_s) or in steps",
-      Angle::radians(fastest_radps).deg(), 100.0 * loss, 100.0 * kMostLoss);
-}
-
 /// Adds a note on the meaning of O where an offset drifted by more than its uncertainty explains.
 void note_drifts(CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) {
@@ -385,8 +370,6 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
         u(0), u(1), u(2), record.response_unit);
     diagnostics.notes.push_back(about_chi2);
   }
-  if (std::string words = words_about_filter(own.data); !words.empty())
-    contradictions.push_back(std::move(words));
   for (std::string& words : contradictions_of(tests, record.response_unit))
     contradictions.push_back(std::move(words));
   const std::string about_nonlinearity =
