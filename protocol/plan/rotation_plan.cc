@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "protocol/plan/faces.h"
+#include "protocol/plan/sweep_margins.h"
 
 namespace abcal {
 namespace {
@@ -65,12 +66,6 @@ struct TurningAxis {
   std::string name;
   AxisTravel travel;
 };
-
-/// Time at its rate that an axis turns before the first step of a sweep: what the item shows of the
-/// acceleration must have died away, in its filter and with its delay.
-constexpr double kMarginBeforeS = 0.25;
-/// The same after the last step, where only the encoder and the readings may lag.
-constexpr double kMarginAfterS = 0.05;
 
 /// The way from rest to a rate, or from it to rest, with a time at the rate.
 Angle way_to_rate(const ProtocolConfig& config, double rate_deg_per_s, double margin_s) {

@@ -8,6 +8,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/faces.h"
+#include "protocol/plan/sweep_margins.h"
 #include "protocol/record/planned_dwell.h"
 #include "protocol/run/dwell.h"
 #include "protocol/run/sampling_times.h"
@@ -81,7 +82,7 @@ SweepAngle SweepMeasurement::angle_of(std::span<const PlannedAngle> angles,
                                       std::span<const AngleSample> samples) const {
   const PlannedAngle& first = angles.front();
   const double rate = first.rate_deg_per_s;
-  const double beyond = 0.5 * context_.settings.protocol.step.deg() + 0.05 * std::abs(rate);
+  const double beyond = 0.5 * context_.settings.protocol.step.deg() + kMarginAfterS * std::abs(rate);
   const double lowest = std::min(first.turning().deg(), angles.back().turning().deg()) - beyond;
   const double highest = std::max(first.turning().deg(), angles.back().turning().deg()) + beyond;
   std::vector<AngleAtTime> inside;

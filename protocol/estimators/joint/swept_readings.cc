@@ -15,6 +15,7 @@
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/model/effects.h"
 #include "protocol/model/sweep_angle.h"
+#include "protocol/plan/sweep_margins.h"
 
 namespace abcal {
 namespace {
@@ -221,18 +222,16 @@ void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& 
 /// Refuses an item whose filter is too slow for the rotation: a low-pass follows a turn that begins with a
 /// lag of rate times time constant, which must be gone at the first step.
 void require_fast_filter(const CollectedReadings& data) {
-  constexpr double kSettlesForS = 0.25;  // At the rate before the first step, as the plan has it.
   constexpr double kMostLagLeft = 3e-4;  // radian
   constexpr double kUsualTimeS = 0.045;  // Leaves about this at 60 degrees/s.
   double fastest_radps = 0.0;
   for (const EffectReading& reading : data.readings)
     fastest_radps = std::max(fastest_radps, std::abs(reading.mean_rate_radps));
   const double time_s = std::sqrt(2.0 * data.loss) / kReferenceRate;  // A low-pass of first order has it.
-  if (!(fastest_radps * time_s * std::exp(-kSettlesForS / time_s) > kMostLagLeft)) return;
+  if (!(fastest_radps * time_s * std::exp(-kMarginBeforeS / time_s) > kMostLagLeft)) return;
   throw UnusableData(fmt::format(
       "the item's filter is slow for the rotation: at {:.0f} degrees/s its response is smaller by {:.2g} %, "
-      "as "
-      "behind a low-pass with a time constant of {:.2g} s, which does not settle before the first step; "
+      "as behind a low-pass with a time constant of {:.2g} s, which does not settle before the first step; "
       "required: about {:g} s at most, or a run in steps",
       Angle::radians(fastest_radps).deg(), 100.0 * data.loss * std::pow(fastest_radps / kReferenceRate, 2),
       time_s, kUsualTimeS));
