@@ -113,6 +113,11 @@ ItemTruth checked(ItemTruth truth, std::uint64_t run) {
   return truth;
 }
 
+/// Time constant of the item's low-pass; 0: it has none.
+double time_constant_s(const OutputTruth& truth) {
+  return truth.low_pass_hz > 0.0 ? 1.0 / (2.0 * std::numbers::pi * truth.low_pass_hz) : 0.0;
+}
+
 }  // namespace
 
 SimBench::SimBench(const BenchTruth& truth, Clock::Instant start)
@@ -650,8 +655,7 @@ Eigen::Array3d SimBench::filtered_response(const OutputTruth& truth, Clock::Inst
       {0.3480145400233489, 0.5022806741324928, 0.14091591949447282, 0.00871989302609997,
        6.897332358564013e-05}};
   constexpr double kMemory = 20.0;  // Time constants.
-  const double constant_s =
-      truth.low_pass_hz > 0.0 ? 1.0 / (2.0 * std::numbers::pi * truth.low_pass_hz) : 0.0;
+  const double constant_s = time_constant_s(truth);
   const Clock::Instant then = t - from_seconds(truth.group_delay_s);
   const Clock::Instant oldest = then - from_seconds(kMemory * constant_s);
   const Epoch& epoch = epoch_at(t);
@@ -678,8 +682,8 @@ Eigen::Array3d SimBench::direction_at(const OutputTruth& truth, Clock::Instant t
 /// signs jump, so that the memory is cut where they do.
 Eigen::Array3d SimBench::filtered_direction(const OutputTruth& truth, Clock::Instant t) const {
   const Clock::Instant then = t - from_seconds(truth.group_delay_s);
-  if (truth.low_pass_hz == 0.0) return direction_at(truth, then);
-  const double constant_s = 1.0 / (2.0 * std::numbers::pi * truth.low_pass_hz);
+  const double constant_s = time_constant_s(truth);
+  if (constant_s == 0.0) return direction_at(truth, then);
   struct Past {
     double age = 0.0;  ///< Time constants.
     Eigen::Array3d sign;

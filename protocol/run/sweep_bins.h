@@ -21,7 +21,7 @@ struct SweepBin {
 };
 
 /// Distributes the readings of a sweep to its angles. The value of a bin is that of a curve through all
-/// readings of the sweep (mean and orders 1 to 4 of the turn) at the angle, and the mean distance of the
+/// readings of the sweep (mean and orders 1 to 8 of the turn) at the angle, and the mean distance of the
 /// bin's readings from the curve: so the curvature within a bin does not shift it. Its noise is that of all
 /// readings of the sweep about the means of their bins, autocorrelation included, across the direction in
 /// which an error of the angle moves the outputs.

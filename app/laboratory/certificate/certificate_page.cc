@@ -133,7 +133,7 @@ Section result_section(const PageSource& from, xmlNode* measurement, const std::
 }
 
 /// The response at each rate.
-Section rate_section(const PageSource& from, xmlNode* result) {
+Section rate_section(const PageSource& from, xmlNode* result, const std::string& title) {
   DocumentTable table = value_table(from);
   for (xmlNode* rate : from.xml.nodes("dcc:data/dcc:list", result)) {
     const auto number = [&](const char* ref_type) {
@@ -148,7 +148,7 @@ Section rate_section(const PageSource& from, xmlNode* result) {
       add_value_rows(table, from, quantity, false, false);
   }
   return {
-      from.content("dcc:name", result),
+      title,
       {std::move(table), Paragraph{from.content("dcc:description", result) + " " +
                                    from.say("A: amplitude of each output; theta: phase of all of them.")}}};
 }
@@ -447,8 +447,12 @@ Document certificate_page(const std::string& xml) {
                          pair ? from.say("Conformity") + ": " + from.content("dcc:name", measurement)
                               : from.say("Conformity")));
   }
-  if (xmlNode* rates = result_of(from, last, "abc_responseAtRates")) {
-    second.push_back(rate_section(from, rates));
+  for (xmlNode* measurement : measurements) {
+    xmlNode* rates = result_of(from, measurement, "abc_responseAtRates");
+    if (rates == nullptr) continue;
+    second.push_back(rate_section(
+        from, rates,
+        from.content("dcc:name", rates) + (pair ? ": " + from.content("dcc:name", measurement) : "")));
     used = kRoomOnSecondPage;
   }
   if (xmlNode* shift = result_of(from, last, "abc_shift")) {

@@ -8,6 +8,7 @@
 #include <functional>
 #include <string>
 
+#include "app/laboratory/certificate/dcc_rates.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/traceability.h"
@@ -160,7 +161,7 @@ void add_rates(XmlElement& settings, const Words& words, const ProtocolConfig& p
   for (const double rate : protocol.rate_deg_per_s) {
     if (std::find(added.begin(), added.end(), rate) != added.end()) continue;
     added.push_back(rate);
-    add_setting(settings, "abc_rate", words("Rate of the turn"), rate, "\\degree\\second\\tothe{-1}");
+    add_setting(settings, "abc_rate", words("Rate of the turn"), rate, kDegreesPerSecond);
   }
   add_setting(settings, "abc_sweeps", words("Sweeps of each experiment"), protocol.sweeps, "\\one");
   add_setting(settings, "abc_stops", words("Dwells at rest in each experiment"), protocol.stops, "\\one");

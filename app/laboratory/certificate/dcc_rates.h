@@ -6,6 +6,9 @@
 
 namespace abcal {
 
+/// Unit of a rate, in D-SI.
+inline constexpr const char* kDegreesPerSecond = "\\degree\\second\\tothe{-1}";
+
 /// Adds the response at each rate of a run at a constant rate: frequency, amplitude relative to rest, phase
 /// beyond a delay (docs/constant_rate.md). Nothing for a run in steps.
 /// @throws NumberNotFinite

@@ -38,10 +38,11 @@ class RateCertificateTest : public CertificateTest {
     folder_ = nullptr;
   }
 
+  static std::filesystem::path run_file() { return *folder_ / "rate.run"; }
   static Certificate draft(const std::string& laboratory = example_laboratory()) {
     CertificateRequest asked;
     asked.laboratory = parse_laboratory_file(laboratory, "lab.toml");
-    asked.run = gather_report(*folder_ / "rate.run", any_time());
+    asked.run = gather_report(run_file(), any_time());
     return make_certificate(std::move(asked));
   }
   static std::string page_of(const Certificate& certificate) {
@@ -97,6 +98,21 @@ TEST_F(RateCertificateTest, ItsPageAndItsNumbersForProgramsHaveTheResponse) {
                                      [](const auto& one) { return one["result"] == "abc_responseAtRates"; });
   ASSERT_NE(response, json["results"].end());
   EXPECT_EQ((*response)["statements"].size(), 2U * (2U + 3U + 1U));
+}
+
+TEST_F(RateCertificateTest, AsFoundAndAsLeftEachHaveTheirResponse) {
+  CertificateRequest asked;
+  asked.laboratory = parse_laboratory_file(
+      replaced(example_laboratory(), "deviations = \"\" ", "adjustment = \"set\" "), "lab.toml");
+  asked.run = gather_report(run_file(), any_time());
+  asked.as_found = gather_report(run_file(), any_time());
+  const std::string page = page_of(make_certificate(std::move(asked)));
+  EXPECT_THAT(page, AllOf(HasSubstr("Response at constant rates: DRAFT: Calibration"), HasSubstr("as found"),
+                          HasSubstr("as left")));
+  const std::string heading = "0.1667 Hz, 60 °/s";
+  const std::size_t first = page.find(heading);
+  ASSERT_NE(first, std::string::npos);
+  EXPECT_NE(page.find(heading, first + 1), std::string::npos);
 }
 
 TEST_F(RateCertificateTest, InGerman) {
