@@ -161,6 +161,7 @@ struct Emulator::Loop {
   void deliver(Port& port);
   void write_to(Port& port);
   void hang_up(Port& port);
+  void put_on_line(Port& port, Clock::Instant now);
   void pump(Port& port);
   void open(Port& port);
   static void remove_link(const Port& port);
@@ -349,25 +350,37 @@ void Emulator::Loop::deliver(Port& port) {
   port.firmware->receive(bytes, clock.now());
 }
 
+/// Puts on its line what the device has output, each part at the time it was due: on a busy machine that may
+/// have been some time ago, and a part that was due later must not come earlier for it.
+void Emulator::Loop::put_on_line(Port& port, Clock::Instant now) {
+  std::optional<Clock::Instant> before;
+  while (true) {
+    // Asked before: an answer to a change of the speed goes at the old one.
+    const auto speed = port.line_speed();
+    const std::optional<Clock::Instant> due = port.firmware->next_due();
+    const bool is_last = !due || *due >= now || due == before;
+    const Clock::Instant put_out = std::min(now, due.value_or(now));
+    std::string bytes = port.firmware->transmit(is_last ? now : put_out);
+    if (!speed) {
+      port.output += bytes;
+    } else {
+      port.output += port.to_host.arrived(now);
+      if (!port.client) bytes.clear();
+      if (port.to_host.under_way() + bytes.size() > kDeviceBuffer + port.to_host.room(*speed, put_out, now)) {
+        dropped += bytes.size();  // Whole messages, as the device itself loses them.
+        bytes.clear();
+      }
+      port.to_host.send(bytes, *speed, terminal_speed(port.slave.get()), put_out);
+      port.output += port.to_host.arrived(now);
+    }
+    if (is_last) return;
+    before = due;
+  }
+}
+
 /// Takes the output of the firmware up to now; if there is too much, the oldest is lost.
 void Emulator::Loop::pump(Port& port) {
-  const Clock::Instant now = clock.now();
-  // Asked before: an answer to a change of the speed goes at the old one.
-  const auto speed = port.line_speed();
-  // It may have been some time ago, on a busy machine: the line has carried since then.
-  const Clock::Instant put_out = std::min(now, port.firmware->next_due().value_or(now));
-  std::string bytes = port.firmware->transmit(now);
-  if (speed) {
-    port.output += port.to_host.arrived(now);
-    if (!port.client) bytes.clear();
-    if (port.to_host.under_way() + bytes.size() > kDeviceBuffer + port.to_host.room(*speed, put_out, now)) {
-      dropped += bytes.size();  // Whole messages, as the device itself loses them.
-      bytes.clear();
-    }
-    port.to_host.send(bytes, *speed, terminal_speed(port.slave.get()), put_out);
-    bytes = port.to_host.arrived(now);
-  }
-  port.output += bytes;
+  put_on_line(port, clock.now());
   const std::size_t capacity = port.client ? kOutputCapacity : 0;
   if (port.output.size() <= capacity) return;
   const std::size_t surplus = port.output.size() - capacity;

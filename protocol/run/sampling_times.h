@@ -1,8 +1,10 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
@@ -32,5 +34,39 @@ std::optional<SamplingTimes> fit_sampling_times(std::span<const Reading> reading
 
 /// Keeps the delays of this computer out of the times of a stream's readings.
 void place_at_sampling_times(std::span<Reading> readings, const AccelerometerInfo& info);
+
+/// The clock of an instrument that streams, over several sweeps. The line of fit_sampling_times() touches two
+/// arrivals of one sweep, and what delayed these on a busy computer, some 0.05 ms, is an error of the angles.
+/// But a clock runs evenly for minutes: its line through the least delays of each second has a tenth of that.
+class SamplingClock {
+ public:
+  struct Placed {
+    SamplingTimes times;
+    /// Standard uncertainty of the times, without the least delay of the link, which is the same for all.
+    double u_s = 0.0;
+  };
+
+  /// Keeps the arrivals of readings; in their order.
+  void hear(std::span<const Reading> readings);
+
+  /// The sampling times of the readings of one sweep. The line is that of Theil and Sen (P. K. Sen, J. Am.
+  /// Stat. Assoc. 63, 1379, 1968) through the least delay of each second of the last two minutes, so that no
+  /// single arrival moves it. Readings before a gap in the numbers have no part in it, and none but those of
+  /// the sweep where these lie off it by more than 0.2 ms: the clock has changed.
+  /// @param readings  those heard last
+  /// @return nothing where fit_sampling_times() has none
+  std::optional<Placed> times_of(std::span<const Reading> readings);
+
+ private:
+  struct Arrival {
+    std::uint64_t sequence = 0;
+    Clock::Instant at;
+  };
+
+  void forget_what_is_of_no_use(std::span<const Reading> readings);
+  void hear_only(std::span<const Reading> readings);
+
+  std::vector<Arrival> heard_;
+};
 
 }  // namespace abcal

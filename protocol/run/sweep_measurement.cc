@@ -11,7 +11,6 @@
 #include "protocol/plan/sweep_margins.h"
 #include "protocol/record/planned_dwell.h"
 #include "protocol/run/dwell.h"
-#include "protocol/run/sampling_times.h"
 #include "protocol/run/sweep_bins.h"
 
 namespace abcal {
@@ -68,7 +67,10 @@ std::vector<AngleSample> SweepMeasurement::turn(const PlannedAngle& first, const
                                                 Streams& streams) {
   const Clock::Instant begin = context_.clock.now();
   items_.each([&](ItemChannel& channel) {
-    channel.readings.discard_pending();
+    if (channel.context.accelerometer_info.rate_hz > 0.0)
+      clocks_[channel.k].hear(channel.readings.take());
+    else
+      channel.readings.discard_pending();
     streams[channel.k] = {{}, channel.readings.lost(), begin};
   });
   std::vector<AngleSample> samples = motion_.sweep(
@@ -131,6 +133,17 @@ bool SweepMeasurement::are_readings_missing(std::span<const PlannedAngle> angles
   return false;
 }
 
+/// @return standard uncertainty of their times, s
+double SweepMeasurement::place_by_clock(ItemChannel& channel, std::vector<Reading>& readings) {
+  if (!(channel.context.accelerometer_info.rate_hz > 0.0) || readings.empty()) return 0.0;
+  SamplingClock& clock = clocks_[channel.k];
+  clock.hear(readings);
+  const auto placed = clock.times_of(readings);
+  if (!placed) return 0.0;
+  for (Reading& reading : readings) reading.arrival = placed->times.of(reading.sequence);
+  return placed->u_s;
+}
+
 void SweepMeasurement::require_even_clock(ItemChannel& channel, const std::vector<Reading>& readings) {
   if (readings.size() < 2) return;
   const double period_s = to_seconds(readings.back().arrival - readings.front().arrival) /
@@ -151,7 +164,7 @@ void SweepMeasurement::add_item(ItemChannel& channel, Stream& stream, const Swee
                                 std::span<const PlannedAngle> angles, std::vector<PassedAngle>& passed) {
   std::vector<Reading>& readings = stream.readings;
   const AccelerometerInfo& info = channel.context.accelerometer_info;
-  place_at_sampling_times(readings, info);
+  const double u_time_s = place_by_clock(channel, readings);
   require_even_clock(channel, readings);
   const std::vector<SweepBin> bins = bins_of_sweep(angles, context_.settings.protocol.step, turned, readings);
   for (std::size_t k = 0; k < bins.size(); ++k) {
@@ -172,7 +185,7 @@ void SweepMeasurement::add_item(ItemChannel& channel, Stream& stream, const Swee
     const double passed_s = to_seconds(bin.middle.time_since_epoch());
     dwell.motion->rate_deg_per_s = turned.rate_deg_per_s(passed_s);
     dwell.motion->acceleration_deg_per_s2 = turned.acceleration_deg_per_s2(passed_s);
-    dwell.motion->u_angle_deg = turned.u_deg();
+    dwell.motion->u_angle_deg = std::hypot(turned.u_deg(), turned.mean_rate_deg_per_s() * u_time_s);
     const bool turns_x = angles[k].turning_axis() == 0;
     dwell.encoder_x = turns_x ? angles[k].turning() : standing_;
     dwell.encoder_z = turns_x ? standing_ : angles[k].turning();

@@ -10,6 +10,7 @@
 #include "protocol/run/item_channels.h"
 #include "protocol/run/motion.h"
 #include "protocol/run/run_context.h"
+#include "protocol/run/sampling_times.h"
 
 namespace abcal {
 
@@ -42,6 +43,7 @@ class SweepMeasurement {
   void take_readings(Streams& streams);
   SweepAngle angle_of(std::span<const PlannedAngle> angles, std::span<const AngleSample> samples) const;
   bool are_readings_missing(std::span<const PlannedAngle> angles, const Streams& streams) const;
+  double place_by_clock(ItemChannel& channel, std::vector<Reading>& readings);
   void require_even_clock(ItemChannel& channel, const std::vector<Reading>& readings);
   void add_item(ItemChannel& channel, Stream& stream, const SweepAngle& turned,
                 std::span<const PlannedAngle> angles, std::vector<PassedAngle>& passed);
@@ -49,8 +51,9 @@ class SweepMeasurement {
   RunContext& context_;
   Motion& motion_;
   const ItemChannels& items_;
-  Angle standing_;                  ///< Encoder angle of the axis that does not turn.
-  std::map<int, double> period_s_;  ///< In each item's first sweep.
+  Angle standing_;                       ///< Encoder angle of the axis that does not turn.
+  std::map<int, SamplingClock> clocks_;  ///< By number of the item.
+  std::map<int, double> period_s_;       ///< In each item's first sweep.
 };
 
 }  // namespace abcal

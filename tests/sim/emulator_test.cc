@@ -10,6 +10,7 @@
 #include <termios.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdlib>
@@ -17,13 +18,17 @@
 #include <fstream>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <thread>
+#include <utility>
 
 #include "sim/firmware/faulty_port.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
+#include "sim/sim_clock.h"
 #include "tests/support/processor_time.h"
 
 namespace abcal::sim {
@@ -326,6 +331,60 @@ TEST_F(EmulatorTest, AnEmulatorThatComesLateLosesNothingThatTheLineWouldHaveCarr
   EXPECT_GE(client.receive(480 * kPacket).size(), 480 * kPacket);
   EXPECT_LT(std::chrono::steady_clock::now() - start, seconds(1)) << "it is due at once";
   EXPECT_EQ(emulator->dropped_bytes(), 0U);
+}
+
+/// Sends ten bytes at 100 ms and ten at 120 ms, at 9600 Bd: each message takes 10.4 ms.
+class TwoMessages final : public Firmware {
+ public:
+  void receive(std::string_view /*bytes*/, Clock::Instant /*now*/) override {}
+  std::string transmit(Clock::Instant now) override {
+    std::string out;
+    for (; sent_ < kMessages.size() && now >= due_at(sent_); ++sent_) out += kMessages[sent_];
+    return out;
+  }
+  std::optional<Clock::Instant> next_due() const override {
+    return sent_ < kMessages.size() ? std::optional(due_at(sent_)) : std::nullopt;
+  }
+  std::optional<unsigned> line_speed() const override { return 9600; }
+
+ private:
+  static constexpr std::array<const char*, 2> kMessages{"0123456789", "ABCDEFGHIJ"};
+  static Clock::Instant due_at(std::size_t k) { return Clock::Instant(milliseconds(k == 0 ? 100 : 120)); }
+  std::size_t sent_ = 0;
+};
+
+/// Sends back what it receives, at once.
+class Echo final : public Firmware {
+ public:
+  void receive(std::string_view bytes, Clock::Instant /*now*/) override { held_ += bytes; }
+  std::string transmit(Clock::Instant /*now*/) override { return std::exchange(held_, {}); }
+  std::optional<Clock::Instant> next_due() const override {
+    return held_.empty() ? std::nullopt : std::optional(Clock::Instant{});
+  }
+
+ private:
+  std::string held_;
+};
+
+TEST(EmulatorOnABusyMachineTest, NoMessageComesEarlierThanItsLineCarriesIt) {
+  std::string name = (std::filesystem::temp_directory_path() / "emulator_test_XXXXXX").string();
+  const std::filesystem::path folder = ::mkdtemp(name.data());
+  SimClock clock;
+  Emulator emulator({{std::make_shared<TwoMessages>(), PtyLink{folder / "line", LineModel::kReal}},
+                     {std::make_shared<Echo>(), PtyLink{folder / "echo"}}},
+                    clock);
+  const std::jthread thread([&](std::stop_token stop) { emulator.run(std::move(stop)); });
+  Client client = Client::terminal(folder / "line");
+  set_speed(client, B9600);
+  // Each round looks at all ports: it has seen this client.
+  Client other = Client::terminal(folder / "echo");
+  for (int round = 0; round < 2; ++round) ASSERT_EQ(other.ask("x", 1), "x");
+  // Both are due by now, and only one has come through.
+  clock.sleep_until(Clock::Instant(milliseconds(121)));
+  EXPECT_EQ(client.receive(10), "0123456789");
+  clock.sleep_until(Clock::Instant(milliseconds(131)));
+  EXPECT_EQ(client.receive(10), "ABCDEFGHIJ");
+  std::filesystem::remove_all(folder);
 }
 
 TEST_F(EmulatorTest, InstrumentsOfOneWorldFeelEachOther) {

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 #include <random>
+#include <span>
 #include <vector>
 
 namespace abcal {
@@ -92,6 +93,106 @@ TEST(SamplingTimesTest, NoLineIsForcedOnReadingsThatFollowNone) {
   auto twice = late_readings(100, 100.0, 0.0, [](std::size_t) { return 0.0; });
   twice[50].sequence = twice[49].sequence;
   EXPECT_FALSE(fit_sampling_times(twice));
+}
+
+/// The arrivals of 6000 readings at 100 Hz on a busy computer: late by what changes from second to second,
+/// and by more at times.
+std::vector<Reading> busy_readings(double ppm) {
+  std::mt19937_64 random(7);
+  std::uniform_real_distribution<double> poll(0.0, 1e-3), wave(0.0, 2e-4);
+  double now_late = 0.0;
+  return late_readings(6000, 100.0, ppm, [&](std::size_t k) {
+    if (k % 150 == 0) now_late = wave(random);
+    return 2e-3 + now_late + poll(random);
+  });
+}
+
+/// Mean and slope (over all) of the errors of the times, in microseconds; the mean without 2 ms.
+struct TimeErrors {
+  double mean_us = 0.0;
+  double slope_us = 0.0;
+};
+
+TimeErrors errors_of(const SamplingTimes& times, std::span<const Reading> readings, double ppm) {
+  const auto error_us = [&](const Reading& reading) {
+    const double true_s = static_cast<double>(reading.sequence - 700) / (100.0 * (1.0 + 1e-6 * ppm)) + 2e-3;
+    return 1e6 * (to_seconds(times.of(reading.sequence) - kBegin) - true_s);
+  };
+  const double first = error_us(readings.front()), last = error_us(readings.back());
+  return {0.5 * (first + last), last - first};
+}
+
+/// Places sweeps of 700 readings, with 300 in front of each, as a run does.
+std::vector<TimeErrors> place_sweeps(std::vector<Reading>& readings, double ppm,
+                                     std::vector<double>* u_us = nullptr) {
+  SamplingClock clock;
+  std::vector<TimeErrors> errors;
+  const std::span<const Reading> all(readings);
+  for (std::size_t begin = 0; begin + 1000 <= all.size(); begin += 1000) {
+    const auto sweep = all.subspan(begin + 300, 700);
+    clock.hear(all.subspan(begin, 300));
+    clock.hear(sweep);
+    const auto placed = clock.times_of(sweep);
+    if (!placed) return {};
+    errors.push_back(errors_of(placed->times, sweep, ppm));
+    if (u_us != nullptr) u_us->push_back(1e6 * placed->u_s);
+  }
+  return errors;
+}
+
+TEST(SamplingClockTest, TheDelaysOfASecondDoNotTurnASweep) {
+  std::vector<Reading> readings = busy_readings(30.0);
+  std::vector<double> u_us;
+  const std::vector<TimeErrors> errors = place_sweeps(readings, 30.0, &u_us);
+  ASSERT_EQ(errors.size(), 6U);
+  double own_slope = 0.0, slope = 0.0;
+  for (std::size_t k = 2; k < 6; ++k) {
+    const std::span<const Reading> sweep = std::span<const Reading>(readings).subspan(1000 * k + 300, 700);
+    own_slope += std::abs(errors_of(*fit_sampling_times(sweep), sweep, 30.0).slope_us);
+    slope += std::abs(errors[k].slope_us);
+    EXPECT_LT(std::abs(errors[k].slope_us), 4.0 * u_us[k]);
+    EXPECT_LT(std::abs(errors[k].mean_us - errors.back().mean_us), 4.0 * u_us[k]);
+    EXPECT_LT(u_us[k], 30.0);
+  }
+  EXPECT_LT(slope, 0.3 * own_slope);
+}
+
+TEST(SamplingClockTest, NoSingleArrivalMovesIt) {
+  std::vector<Reading> readings = busy_readings(0.0);
+  const std::vector<TimeErrors> before = place_sweeps(readings, 0.0);
+  readings[5900].arrival -= 2ms;
+  const std::vector<TimeErrors> after = place_sweeps(readings, 0.0);
+  ASSERT_EQ(after.size(), 6U);
+  EXPECT_NEAR(after.back().slope_us, before.back().slope_us, 5.0);
+  EXPECT_NEAR(after.back().mean_us, before.back().mean_us, 10.0);
+}
+
+TEST(SamplingClockTest, WhatWasBeforeAGapOrAChangeHasNoPart) {
+  const auto even = late_readings(6000, 100.0, 0.0, [](std::size_t) { return 0.0; });
+  std::vector<Reading> readings = even;
+  // Three readings that nobody has counted, and one that somebody has, between the sweeps.
+  for (std::size_t k = 3100; k < 6000; ++k) readings[k].arrival += 30ms;
+  for (std::size_t k = 5100; k < 6000; ++k) {
+    readings[k].sequence += 1;
+    readings[k].arrival += 10ms;
+  }
+  const std::vector<TimeErrors> errors = place_sweeps(readings, 0.0);
+  ASSERT_EQ(errors.size(), 6U);
+  EXPECT_NEAR(errors[2].mean_us + 2e3, 0.0, 1.0);
+  EXPECT_NEAR(errors[3].mean_us + 2e3, 30e3, 1.0);
+  EXPECT_NEAR(errors[5].mean_us + 2e3, 30e3, 1.0);
+  for (const TimeErrors& each : errors) EXPECT_NEAR(each.slope_us, 0.0, 1.0);
+}
+
+TEST(SamplingClockTest, ReadingsThatFollowNoLineHaveNone) {
+  SamplingClock clock;
+  const auto slower =
+      late_readings(1000, 100.0, 0.0, [](std::size_t k) { return 1e-7 * static_cast<double>(k * k); });
+  clock.hear(slower);
+  EXPECT_FALSE(clock.times_of(slower));
+  const auto few = late_readings(15, 100.0, 0.0, [](std::size_t) { return 0.0; });
+  clock.hear(few);
+  EXPECT_FALSE(clock.times_of(few));
 }
 
 }  // namespace
