@@ -26,7 +26,9 @@ constexpr double kNegligibleShare = 1e-10;
 constexpr double kHiddenFall = 1e-6;
 constexpr double kHiddenShare = 1e-9;
 
-constexpr int kMostIterations = 100;
+/// Most fits take less than ten. A product of two unknowns that the readings hardly determine can make steps
+/// go to and fro across the minimum, each 0.96 times the one before, or creep along a valley: some hundreds.
+constexpr int kMostIterations = 1000;
 /// The matrix of the first step serves for the second, and further while each step lowers the cost by less
 /// than this share of the one before.
 constexpr double kFastConvergence = 0.05;

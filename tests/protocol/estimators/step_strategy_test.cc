@@ -100,6 +100,26 @@ TEST(StepStrategyTest, FollowsACurvedValley) {
   expect_no_rise(minimum);
 }
 
+// The curvature of x^2 + (1 + 0.98 x^2 / 2)^2 is 1.98 times that which the derivatives tell: each step ends
+// at -0.98 x.
+TEST(StepStrategyTest, StepsThatGoToAndFroEndAtTheMinimum) {
+  Residuals problem(
+      [](const Eigen::VectorXd& x) {
+        return Eigen::VectorXd(Eigen::Vector2d(x(0), 1.0 + 0.49 * x(0) * x(0)));
+      },
+      [](const Eigen::VectorXd& x) {
+        Eigen::MatrixXd jacobian(2, 1);
+        jacobian << 1.0, 0.98 * x(0);
+        return jacobian;
+      },
+      Eigen::VectorXd::Constant(1, 0.3));
+  const Minimum minimum = minimise(problem);
+  EXPECT_TRUE(minimum.found);
+  EXPECT_GT(minimum.iterations, 100);
+  EXPECT_NEAR(problem.x()(0), 0.0, 1e-3);
+  expect_no_rise(minimum);
+}
+
 // log(x) has no value beyond 0, where the undamped step from 5 goes.
 TEST(StepStrategyTest, AStepOutOfTheModelIsRefused) {
   Residuals problem([](const Eigen::VectorXd& x) { return Eigen::VectorXd::Constant(1, std::log(x(0))); },
