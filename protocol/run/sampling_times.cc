@@ -69,9 +69,9 @@ struct MedianLine {
   double at(double number) const { return height_ns + slope * number; }
 };
 
-/// How much less than the mean a median tells of normal errors: the root of pi/2.
+/// Standard deviation of a median over that of a mean, of normal errors: the root of pi/2.
 constexpr double kMedianOverMean = 1.2533;
-/// Standard deviation over median absolute deviation, of normal errors.
+/// Standard deviation of normal errors over their median absolute deviation.
 constexpr double kDeviationOverMedian = 1.4826;
 
 MedianLine median_line(const std::vector<Point>& points) {
@@ -148,7 +148,7 @@ void SamplingClock::hear_only(std::span<const Reading> readings) {
 }
 
 /// Leaves the arrivals of the last two minutes that follow each other without a gap, or those of the sweep.
-void SamplingClock::forget_what_is_of_no_use(std::span<const Reading> readings) {
+void SamplingClock::keep_last_without_gap(std::span<const Reading> readings) {
   std::size_t begin = heard_.size();
   while (begin > 0 && heard_.back().at - heard_[begin - 1].at < kClockSpan &&
          (begin == heard_.size() || heard_[begin].sequence == heard_[begin - 1].sequence + 1))
@@ -163,7 +163,7 @@ std::optional<SamplingClock::Placed> SamplingClock::times_of(std::span<const Rea
     heard_.clear();
     return std::nullopt;
   }
-  forget_what_is_of_no_use(readings);
+  keep_last_without_gap(readings);
   const auto period = static_cast<double>(own->period.count());
   while (true) {
     const Arrival begin = heard_.front();

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -46,7 +45,7 @@ class SamplingClock {
     double u_s = 0.0;
   };
 
-  /// Keeps the arrivals of readings; in their order.
+  /// Keeps the arrivals of readings, which follow those heard before.
   void hear(std::span<const Reading> readings);
 
   /// The sampling times of the readings of one sweep. The line is that of Theil and Sen (P. K. Sen, J. Am.
@@ -63,7 +62,7 @@ class SamplingClock {
     Clock::Instant at;
   };
 
-  void forget_what_is_of_no_use(std::span<const Reading> readings);
+  void keep_last_without_gap(std::span<const Reading> readings);
   void hear_only(std::span<const Reading> readings);
 
   std::vector<Arrival> heard_;
