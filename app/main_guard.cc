@@ -1,5 +1,5 @@
 // abcal-guard: opens the ports of a stage and a chamber for the program that moves them, passes the bytes on,
-// and halts the axes and leaves the chamber as its policy says if that program dies or hangs
+// and halts the axes and leaves the chamber as its policy states if that program dies or hangs
 // (app/operate/bench/guard_service.h). Started by abcal, with one end of a socket as descriptor 3.
 #include <sys/resource.h>
 

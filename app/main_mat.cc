@@ -111,6 +111,11 @@ void write_mat(const nlohmann::json& constants, const std::string& path) {
   file.add("b", column(offset.at("value")));
   file.add("u_b", column(offset.at("standard_uncertainty")));
   file.add("g_loc_mps2", column(nlohmann::json::array({constants.at("g_loc_mps2")})));
+  for (const auto& [name, output] : constants.at("outputs").items()) {
+    const nlohmann::json& u = output.at("standard_uncertainty");
+    file.add(name.c_str(), column(nlohmann::json::array({output.at("value")})));
+    if (u.is_number()) file.add(("u_" + name).c_str(), column(nlohmann::json::array({u})));
+  }
   if (!constants.contains("noise")) return;
   const auto& noise = constants.at("noise");
   file.add("noise_density", column(nlohmann::json::array({noise.at("density")})));

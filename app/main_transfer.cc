@@ -190,7 +190,7 @@ std::string send_all(const Json& packet) {
   return failures.empty() ? "sent" : failures;
 }
 
-/// Sends the message that comes from the socket. @return exit code
+/// Sends the message that arrives at the socket. @return exit code
 int answer_socket() {
   constexpr int kSocket = 3;
   constexpr std::size_t kLongest = 64 * 1024;
@@ -211,7 +211,7 @@ int answer_socket() {
 }
 
 /// @throws std::invalid_argument unless the address is one of HTTP, which authorities use: a time stamp is
-/// signed, and the stamped hash is no secret
+/// signed, and the stamped hash is not a secret
 void require_http(const std::string& address) {
   const std::unique_ptr<CURLU, void (*)(CURLU*)> url(curl_url(), curl_url_cleanup);
   char* text = nullptr;

@@ -19,7 +19,7 @@ layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 # --- protocol ------------------------------------------------------------------------------------------------------------
 set(angle drivers/instrument/angle.h)
 # Estimators and uncertainty cannot even name an instrument.
-set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/ protocol/record/run_record.h protocol/record/stage_record.h protocol/model/)
+set(numbers ${angle} protocol/quantities/output_names.h protocol/linear/ protocol/statistics/ protocol/plan/ protocol/record/run_record.h protocol/record/stage_record.h protocol/model/)
 layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
 layer(protocol/linear FOREIGN Eigen/)
 layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h FOREIGN Eigen/)
@@ -28,6 +28,7 @@ layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
 layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
 layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/model/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
 layer(protocol/estimators MAY ${numbers} FOREIGN Eigen/ fmt/ Random123/ hwy/)
+layer(protocol/quantities MAY ${numbers} protocol/estimators/shared/ FOREIGN Eigen/ fmt/)
 layer(protocol/uncertainty MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
 layer(protocol/temperature MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/)
 
@@ -37,7 +38,7 @@ layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Rando
 
 # --- app: six wings ------------------------------------------------------------------------------------------------------
 # The true values of a simulated bench, without its instruments.
-set(truth sim/bench_truth.h sim/emulated_serial_numbers.h sim/fault_kinds.h)
+set(truth sim/bench_truth.h sim/counter_noise.h sim/emulated_serial_numbers.h sim/fault_kinds.h)
 layer(app/ground MAY drivers/instrument/ protocol/plan/ protocol/gravity/ protocol/record/ ${truth}
   FOREIGN CLI/ toml++/ Eigen/ nlohmann/ fmt/ lcms2.h libxml/ qpdf/ hwy/ spdlog/)
 layer(app/operate MAY app/ground/ drivers/ protocol/plan/ protocol/gravity/ protocol/record/ protocol/run/ protocol/estimators/ protocol/linear/

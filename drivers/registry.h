@@ -19,7 +19,7 @@
 
 namespace abcal {
 
-/// How a driver's serial port is set where the bench file does not say.
+/// Settings of a driver's serial port where the bench file states none.
 struct SerialDefaults {
   unsigned baud = 115200;
   bool rts_cts = false;
@@ -28,7 +28,7 @@ struct SerialDefaults {
 /// Recognition of an instrument on an unknown port before its driver asks it: by its unrequested output, or
 /// by its answer to a question that changes nothing.
 struct Recognition {
-  /// Sent once to a port; empty: unrequested output must suffice. Ends with CR LF, also a binary one, so that
+  /// Sent once to a port; empty: unrequested output must suffice. Even a binary one ends with CR LF, so that
   /// no instrument is left with half a line.
   std::string question{};
   /// Whether these bytes, all received so far at this driver's serial settings, come from such an instrument.
@@ -120,7 +120,7 @@ struct DriverList {
   std::vector<EnvironmentDriver> environments;
   std::vector<ManualStageDriver> manual_stages;
   std::vector<ManualChamberDriver> manual_chambers;
-  /// By the driver's name; absent: none of them. They stand apart from the drivers because programs that use
+  /// By the driver's name; absent: none of them. They are separate from the drivers because programs that use
   /// libabcal pass StageDriver and AccelerometerDriver to it: the layout of these must not change.
   std::map<std::string, DriverTraits> traits;
 };

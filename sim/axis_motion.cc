@@ -47,7 +47,7 @@ AxisMotion AxisMotion::move(Clock::Instant start, Angle position, double velocit
   const double stopping =
       velocity_deg_per_s * std::abs(velocity_deg_per_s) / (2.0 * limits.deceleration_deg_per_s2);
   // Everything below is seen along the sense in which the motion ends: past the point of no return it
-  // overshoots and comes back.
+  // overshoots and returns.
   const double sense = distance - stopping < 0.0 ? -1.0 : 1.0;
   double d = sense * distance;
   double v0 = sense * velocity_deg_per_s;
@@ -104,7 +104,7 @@ AxisMotion AxisMotion::halt(Clock::Instant start, Angle position, double velocit
 }
 
 void AxisMotion::stall_at(Clock::Instant instant) {
-  if (end_ == start_ || instant >= end_) return;  // there is no way on which to stall
+  if (end_ == start_ || instant >= end_) return;  // there is no motion that could stall
   stalled_since_ = std::max(instant, start_);
   end_ = Clock::Instant::max();
 }

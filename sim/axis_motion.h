@@ -18,7 +18,7 @@ struct MotionLimits {
 /// rest at the target (trapezoidal, or triangular where the way is short). It may start while still moving.
 class AxisMotion {
  public:
-  /// At rest at `position` for ever.
+  /// Always at rest at `position`.
   explicit AxisMotion(Angle position = {}, Clock::Instant since = {});
 
   /// From `position` with `velocity_deg_per_s` at `start` to rest at `target`.

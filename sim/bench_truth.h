@@ -88,6 +88,10 @@ struct OutputTruth {
                   cross_cc = Eigen::Vector3d::Zero();
   /// R: times the sign of the change of l over the last motion that changed it.
   Eigen::Vector3d hysteresis = Eigen::Vector3d::Zero();
+  /// R: 0, or the hysteresis follows the response as play does, independent of the motions: it reverses
+  /// gradually while the response changes by this much. For readings at rest; there is no hysteresis while an
+  /// axis moves.
+  double hysteresis_width = 0.0;
   /// R: times half the Legendre polynomials of 2t of order 1, 2, 3.
   Eigen::Vector3d drift_1 = Eigen::Vector3d::Zero(), drift_2 = Eigen::Vector3d::Zero(),
                   drift_3 = Eigen::Vector3d::Zero();
@@ -134,7 +138,7 @@ struct OutputTruth {
   Eigen::Vector3d sensitivity_per_degc = Eigen::Vector3d::Zero(),
                   sensitivity_per_degc2 = Eigen::Vector3d::Zero(),
                   sensitivity_per_degc3 = Eigen::Vector3d::Zero();
-  /// Half the width of the loop: added where the item came from below, subtracted where it came from above.
+  /// Half the width of the loop: added after warming, subtracted after cooling.
   Eigen::Vector3d offset_thermal_hysteresis = Eigen::Vector3d::Zero(),  ///< R
       sensitivity_thermal_hysteresis = Eigen::Vector3d::Zero();         ///< 1
 
@@ -170,12 +174,12 @@ struct StageTruth {
   double zx_per_degc = 0.0;   ///< Change of zx with the temperature on the platter, from temperature_degc on.
   AxisTruth x, z;
   double axes_distance_mm = 0.0;   ///< From the X axis to the Z axis, along y where Z is at 0.
-  double encoder_latency_s = 0.0;  ///< An encoder says where its axis was this long ago,
+  double encoder_latency_s = 0.0;  ///< An encoder reports where its axis was this long ago,
   double encoder_jitter_s = 0.0;   ///< and further by this times |normal|.
-  /// The axes also stand at 90 and at 180 degrees (protocol of two faces): there AxisTruth::step_error_sd is
-  /// drawn once for the pose of the axis, wherever the other axis is.
+  /// The axes also rest at 90 and at 180 degrees (protocol of two faces): there AxisTruth::step_error_sd is
+  /// drawn once for the pose of the axis, independent of the other axis.
   bool stands_in_second_face = false;
-  double span_s = 3600.0;  ///< Time of the effects that are said to act "over the span", from the start on.
+  double span_s = 3600.0;  ///< Time of the effects that act "over the span", from the start on.
   /// Tilt of the base about x and y of the LGCS over the span, linear in time, zero at its middle.
   double floor_tilt_x_urad = 0.0, floor_tilt_y_urad = 0.0;
   /// Bending under the load of the platform: it turns by (direction of up) x sag, all in platter coordinates;

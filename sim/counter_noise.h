@@ -25,6 +25,7 @@ enum class NoiseStream : std::uint64_t {
   kRipple = 16,
   kEncoder = 17,
   kTimeStamp = 18,
+  kStated = 19,  ///< Truths drawn from what a bench file states.
 };
 
 /// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and

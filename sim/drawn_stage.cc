@@ -61,7 +61,7 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
   require(axis.travel_min < axis.travel_max, name + ".travel_min", axis.travel_min.deg(), "below travel_max");
 }
 
-/// The truth, once it is found to be possible: nothing is made of it before.
+/// The truth, after the check that it is possible.
 StageTruth checked(StageTruth truth) {
   require(truth.span_s >= kSmallestSpanS && std::isfinite(truth.span_s), "span_s", truth.span_s, ">= 0.001");
   require(std::isfinite(truth.zx_per_degc), "zx_per_degc", truth.zx_per_degc, "finite");
@@ -160,7 +160,7 @@ Angle DrawnStage::error(StageAxis axis, Angle commanded, Angle other_commanded) 
   const std::uint64_t pose = canonical_pose(commanded);
   const Angle homing = homing_[index(axis)];
   if (pose == kPoseZero) return homing;
-  // Where an axis stands while the other one moves it has one error.
+  // An axis at rest has one error while the other one moves.
   const bool may_stand =
       pose == kPoseMinus90 || (truth_.stands_in_second_face && (pose == kPose90 || pose == kPose180));
   const std::uint64_t other = may_stand ? kPoseZero : canonical_pose(other_commanded);
@@ -201,7 +201,7 @@ double DrawnStage::ripple_deg(StageAxis axis, double position_deg, int direction
 
 Eigen::Matrix3d DrawnStage::wobble(std::size_t axis, double turn_rad) const {
   const Eigen::Vector3d& e = axis == 0 ? axis_x_ : axis_z_;
-  // Neither axis comes near the vector that its first direction is made of: zx, zy, xz are small.
+  // Neither axis is near the vector from which its first direction is derived: zx, zy, xz are small.
   const Eigen::Vector3d first =
       (axis == 0 ? Eigen::Vector3d::UnitZ() : Eigen::Vector3d::UnitY()).cross(e).normalized();
   const Eigen::Vector3d second = e.cross(first);

@@ -20,7 +20,7 @@ double reduced_rad(double deg);
 Eigen::Matrix3d turned_by(const Eigen::Vector3d& rotation_vector);
 
 /// The geometry of the stage with its random errors drawn from the seed. It is made once for a bench and
-/// shared by all items, so that all of them stand on the same stage. Immutable.
+/// shared by all items, so that all of them are on the same stage. Immutable.
 ///
 /// The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ), each followed by the wobble of its axis,
 /// applied to its orientation at rest, tilted with Z; then it bends under its load.

@@ -91,7 +91,7 @@ std::optional<unsigned> terminal_speed(int fd) {
   return std::nullopt;
 }
 
-/// A link that appears at once and whole, also where an old link stands.
+/// A link that appears atomically, and replaces an old link.
 void link_atomically(const std::filesystem::path& target, const std::filesystem::path& link) {
   const auto status = std::filesystem::symlink_status(link);
   if (std::filesystem::exists(status) && !std::filesystem::is_symlink(status))
@@ -118,8 +118,8 @@ struct Emulator::Port {
   std::variant<PtyLink, TcpPort> where;
   bool plugged_in = true;
 
-  // Pseudo-terminal. We hold its other end open as well: its settings live on between clients, and reading
-  // does not fail while there is none.
+  // Pseudo-terminal. We also hold its other end open: its settings are kept between clients, and reading does
+  // not fail without a client.
   std::filesystem::path link;
   std::filesystem::path terminal;
   FileDescriptor master;
@@ -170,7 +170,7 @@ struct Emulator::Loop {
 
 void Emulator::Loop::remove_link(const Port& port) {
   if (port.link.empty()) return;
-  std::error_code error;  // the error is ignored: the link is gone, or another's
+  std::error_code error;  // the error is ignored: the link was removed, or belongs to another program
   if (std::filesystem::read_symlink(port.link, error) == port.terminal && !error)
     std::filesystem::remove(port.link, error);
 }
@@ -184,7 +184,7 @@ void Emulator::Loop::open(Port& port) {
   if (const auto* tcp = std::get_if<TcpPort>(&port.where)) open_tcp(port, *tcp);
 }
 
-/// The port of an unplugged instrument is gone, as a USB port is; a new one appears when it is plugged in.
+/// The port of an unplugged instrument vanishes, as a USB port does; a new one appears when it is plugged in.
 void Emulator::Loop::follow_plug(Port& port) {
   if (port.firmware->plugged_in() == port.plugged_in) return;
   port.plugged_in = !port.plugged_in;
@@ -291,7 +291,7 @@ void Emulator::Loop::hang_up(Port& port) {
 
 void Emulator::Loop::accept_client(Port& port) {
   FileDescriptor fresh(::accept4(port.listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-  // The client before may have gone already, and be noticed only now.
+  // The previous client may have disconnected without having been noticed so far.
   if (port.connection.open()) read_from(port);
   if (!fresh.open()) return;
   const int on = 1;
@@ -312,7 +312,7 @@ void Emulator::Loop::accept_client(Port& port) {
   taken->client = true;
 }
 
-/// Reads everything that is available: the last bytes of a client that has gone, and the end of its
+/// Reads everything that is available: the last bytes of a disconnected client, and the end of its
 /// connection.
 void Emulator::Loop::read_from(Port& port) {
   std::array<char, kReadSize> buffer{};
@@ -331,7 +331,7 @@ void Emulator::Loop::read_from(Port& port) {
 
 /// Takes bytes that a client has sent.
 void Emulator::Loop::take(Port& port, std::string_view bytes) {
-  pump(port);  // output from before these bytes came
+  pump(port);  // output from before these bytes arrived
   if (const auto speed = port.line_speed()) {
     const unsigned sent = terminal_speed(port.slave.get()).value_or(*speed);
     // Framing errors: the device's UART drops such bytes, so that a host that tries several speeds does not
@@ -342,7 +342,7 @@ void Emulator::Loop::take(Port& port, std::string_view bytes) {
   }
 }
 
-/// Hands to the device the bytes that have come through the line.
+/// Passes the bytes that have arrived over the line to the device.
 void Emulator::Loop::deliver(Port& port) {
   const std::string bytes = port.to_device.arrived(clock.now());
   if (bytes.empty()) return;
@@ -351,7 +351,7 @@ void Emulator::Loop::deliver(Port& port) {
 }
 
 /// Puts on its line what the device has output, each part at the time it was due: on a busy machine that may
-/// have been some time ago, and a part that was due later must not come earlier for it.
+/// have been some time ago, and this must not advance a part that was due later.
 void Emulator::Loop::put_on_line(Port& port, Clock::Instant now) {
   std::optional<Clock::Instant> before;
   while (true) {
@@ -463,7 +463,7 @@ void Emulator::run(std::stop_token stop) {
 
     std::size_t first = 1;
     for (Port& port : loop_->ports) {
-      if (first >= polled.size()) break;  // a client that has just come
+      if (first >= polled.size()) break;  // a client that has just connected
       const auto ready = [&](std::size_t which) { return polled[first + which].revents != 0; };
       if (ready(1)) loop_->follow_clients(port);
       if (ready(0) && port.io() == polled[first].fd) loop_->read_from(port);

@@ -42,8 +42,8 @@ struct Endpoint {
 
 /// Serves simulated instruments to other programs in real time. All in the one thread that calls run(), so
 /// that firmwares may share a world. Never blocks on a client: if a client does not read, the oldest output
-/// is lost, as on a UART. An instrument outlives its clients: they may come and go. The port of one that is
-/// not plugged in (Firmware::plugged_in) vanishes and comes back as a USB port does. Linux.
+/// is lost, as on a UART. An instrument outlives its clients, which may connect and disconnect. The port of
+/// one that is not plugged in (Firmware::plugged_in) vanishes and returns as a USB port does. Linux.
 class Emulator {
  public:
   /// Opens the ports; they answer once run() is called.

@@ -16,27 +16,28 @@ namespace abcal::sim {
 /// (SimBench::inject).
 enum class FaultKind {
   // On the wire.
-  kSilence,        ///< Nothing comes back.
+  kSilence,        ///< No reply is sent.
   kGarbage,        ///< Random bytes precede the reply.
   kFlippedBits,    ///< One bit of the reply is wrong.
   kDroppedBytes,   ///< Some bytes of the reply are missing.
-  kSplitFrame,     ///< The reply comes one byte at a time.
+  kSplitFrame,     ///< The reply arrives one byte at a time.
   kLateReply,      ///< The reply is delayed.
-  kReplacedReply,  ///< Another text comes back, e.g. a refusal.
-  kUnplug,         ///< The port is gone: every call throws kLinkLost.
+  kReplacedReply,  ///< Another text is returned, e.g. a refusal.
+  kUnplug,         ///< The port vanishes: every call throws kLinkLost.
   kPowerCycle,     ///< Like kUnplug, and the instrument loses its power: it restarts when the fault ends.
   // In the world.
   kStuckOutput,     ///< The output stays at the value it had.
-  kClippedOutput,   ///< The output clips at a small full scale, and the instrument says so.
+  kClippedOutput,   ///< The output clips at a small full scale, and the instrument reports it.
   kNotFinite,       ///< The output is NaN.
   kNoOutput,        ///< The accelerometer makes no readings.
-  kStalledAxis,     ///< An axis stops on its way and never says that it is done.
-  kStopsShort,      ///< Moves end short of their target; the controller says that all is well.
+  kStalledAxis,     ///< An axis stops on its way and never reports that it is done.
+  kStopsShort,      ///< Moves end short of their target; the controller reports success.
   kLostReference,   ///< The controller forgets the reference of an axis.
   kRefusedMove,     ///< The controller refuses to move.
   kMissedStep,      ///< An axis is off by some degrees, and its encoder does not see it.
-  kMovedAxis,       ///< An axis is off by some degrees, as its encoder says.
-  kLostController,  ///< The controller of an axis is cut off from its daisy chain: neither hears nor answers.
+  kMovedAxis,       ///< An axis is off by some degrees, as its encoder reports.
+  kLostController,  ///< The controller of an axis is disconnected from its daisy chain: it neither receives
+                    ///< nor answers.
   kChamberAlarm,    ///< The thermal chamber has an alarm.
   kChamberDoor,     ///< Its door is open.
 };
@@ -54,7 +55,7 @@ const std::vector<FaultDescription>& fault_descriptions();
 /// @throws std::invalid_argument naming the known ones.
 const FaultDescription& fault_description(std::string_view name);
 
-/// Delay of a link: replies come later by `latency`, and by up to `jitter` more, in order.
+/// Delay of a link: replies arrive later by `latency`, and by up to `jitter` more, in order.
 struct LinkTiming {
   Clock::Duration latency = Clock::Duration::zero();
   Clock::Duration jitter = Clock::Duration::zero();
@@ -70,7 +71,7 @@ struct WireFault {
   std::optional<Clock::Instant> at{};
   std::optional<Clock::Instant> until{};            ///< Ends then; absent: lasts.
   std::optional<std::size_t> for_writes{};          ///< Ends with that many writes answered; absent: lasts.
-  std::string text = {};                            ///< kReplacedReply: what comes back instead.
+  std::string text = {};                            ///< kReplacedReply: the text that is returned instead.
   Clock::Duration delay = std::chrono::seconds(1);  ///< kLateReply: by how much.
 };
 

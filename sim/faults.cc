@@ -91,7 +91,7 @@ void FaultyStream::on_power(std::function<void(bool)> power) {
 void FaultyStream::follow_power() {
   const Clock::Instant last_look = std::exchange(last_look_, clock_.now());
   const bool on = active(FaultKind::kPowerCycle) == nullptr;
-  // The power may have gone and come back between two calls.
+  // The power may have failed and returned between two calls.
   const bool was_off = powered_ && std::any_of(faults_.begin(), faults_.end(), [&](const WireFault& fault) {
                          return fault.kind == FaultKind::kPowerCycle && fault.at && *fault.at >= last_look &&
                                 fault.until && *fault.until > *fault.at && *fault.until <= last_look_;
@@ -168,7 +168,7 @@ void FaultyStream::write(std::string_view bytes) {
 
 std::string FaultyStream::distort(std::string bytes) {
   if (const WireFault* replaced = active(FaultKind::kReplacedReply)) {
-    // The text comes once for each write; other output of the instrument is swallowed.
+    // The text is returned once for each write; other output of the instrument is dropped.
     if (replaced_for_write_ == writes_) return {};
     replaced_for_write_ = writes_;
     return replaced->text;

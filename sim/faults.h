@@ -29,17 +29,18 @@ class FaultyStream final : public wire::ByteStream {
   std::size_t dropped_bytes() const override { return inner_->dropped_bytes(); }
   std::string name() const override { return inner_->name(); }
 
-  /// `power` is told when kPowerCycle begins (false) and ends (true), in the thread that uses the stream; at
-  /// its next use of both, if it did not use it meanwhile. A stream without `power` treats kPowerCycle as
-  /// kUnplug.
+  /// `power` is called when kPowerCycle begins (false) and ends (true), in the thread that uses the stream;
+  /// with both at the next use, if the stream was not used meanwhile. A stream without `power` treats
+  /// kPowerCycle as kUnplug.
   void on_power(std::function<void(bool on)> power);
 
   void add(WireFault fault);
-  void clear();                           ///< Takes all faults back, those in force and those to come.
-  std::size_t writes() const;             ///< How many there have been.
-  bool unplugged() const;                 ///< Or without power.
-  std::vector<FaultKind> active() const;  ///< In force now.
-  std::optional<Clock::Instant> next_due() const;     ///< When held bytes come out; nothing: none are held.
+  void clear();                                       ///< Removes all faults, present and future.
+  std::size_t writes() const;                         ///< How many there have been.
+  bool unplugged() const;                             ///< Or without power.
+  std::vector<FaultKind> active() const;              ///< In force now.
+  std::optional<Clock::Instant> next_due() const;     ///< When held bytes are released; nullopt if none are
+                                                      ///< held.
   std::optional<Clock::Instant> next_change() const;  ///< When a fault begins or ends next by its time.
 
  private:

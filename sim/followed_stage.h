@@ -9,8 +9,8 @@
 namespace abcal::sim {
 
 /// A real stage whose read-back turns a simulated world, so that a simulated accelerometer "on" a real stage
-/// reads what its pose requires. The world's axes stand at the last encoder readings; its stage errors are
-/// the truth's. The stage must speak protocol angles.
+/// reads what its pose requires. The world's axes are at the last encoder readings; its stage errors are the
+/// truth's. The stage must speak protocol angles.
 class FollowedStage final : public RotationStage {
  public:
   FollowedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<SimBench> world, Clock& clock);

@@ -7,7 +7,7 @@
 
 namespace abcal::sim {
 
-/// Says which number of a simulated bench cannot be. @throws std::invalid_argument
+/// Refuses an impossible number of a simulated bench. @throws std::invalid_argument
 [[noreturn]] inline void refuse(const std::string& what, const std::string& found,
                                 const std::string& required) {
   throw std::invalid_argument(fmt::format("simulated bench: {} is {}, required: {}", what, found, required));

@@ -7,7 +7,7 @@ namespace abcal::sim {
 namespace {
 
 constexpr double kBitsPerByte = 10.0;
-// A UART samples in the middle of a bit: over ten of them it bears half a bit.
+// A UART samples in the middle of a bit: over ten bits it tolerates an error of half a bit.
 constexpr double kBearableMismatch = 0.05;
 constexpr double kRoundOff = 1e-6;  // Bytes: a time that is a whole number of bytes counts them all.
 constexpr double kMostNoise = 8.0;  // Bytes of noise for each byte that is sent.

@@ -28,7 +28,7 @@ class SerialLine {
   /// Bytes that it carries from `at` to `now` behind those already under way.
   std::size_t room(unsigned speed, Clock::Instant at, Clock::Instant now) const;
 
-  /// Bytes that have come through since the last call.
+  /// Bytes that have arrived since the last call.
   std::string arrived(Clock::Instant now);
 
   /// When the next bytes are handed over; absent: none are under way.

@@ -20,6 +20,8 @@ constexpr std::size_t kKeptEpochs = 4096;
 // exp(-40) is below the resolution of a double: the ring-down is over.
 constexpr double kRingDownTimeConstants = 40.0;
 constexpr double kMicro = 1e-6;
+/// Half-widths of the gaps of the plays, as parts of half the width within which all turn round.
+constexpr std::array<double, 4> kPlayGaps{0.2, 0.4, 0.7, 1.0};
 constexpr double kFieldNorthGauss = 0.25;
 constexpr double kFieldDownGauss = 0.45;
 
@@ -52,6 +54,7 @@ void check_slow_effects(const OutputTruth& truth) {
   const auto size = [](double value, const char* what) {
     require(value >= 0.0 && std::isfinite(value), what, value, ">= 0");
   };
+  size(truth.hysteresis_width, "hysteresis_width");
   size(truth.random_walk, "random_walk");
   size(truth.flicker_noise, "flicker_noise");
   size(truth.correlated_noise, "correlated_noise");
@@ -215,6 +218,9 @@ void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
   const bool changes = motion.target() != before.motion[index(axis)].position(t);
   if (was_at_rest && changes && before.start < t) next.force_before = force(before, t);
   next.force_at_rest.reset();
+  if (const OutputTruth& truth = truth_at(t); truth.hysteresis_width > 0.0)
+    next.plays = plays_at(truth, before, t);
+  next.plays_at_rest.reset();
   next.motion[index(axis)] = motion;
   if (motion.direction() != 0) next.backlash[index(axis)] = motion.direction() < 0;
   next.settled = t;
@@ -275,7 +281,7 @@ double SimBench::shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) c
   return fault == nullptr ? 0.0 : fault->value;
 }
 
-/// The commanded angle with the ripple of the rate, which is gone where the axis stands.
+/// The commanded angle with the ripple of the rate, which is absent at rest.
 double SimBench::position_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const {
   const AxisMotion& motion = epoch.motion[axis];
   const double commanded_deg = motion.position(t).deg();
@@ -678,8 +684,8 @@ Eigen::Array3d SimBench::direction_at(const OutputTruth& truth, Clock::Instant t
       .sign();
 }
 
-/// direction_at() behind low-pass and delay: hysteresis is one of the element, whose output is filtered. The
-/// signs jump, so that the memory is cut where they do.
+/// direction_at() behind low-pass and delay: hysteresis belongs to the element, whose output is filtered. The
+/// signs jump, so that the memory is split there.
 Eigen::Array3d SimBench::filtered_direction(const OutputTruth& truth, Clock::Instant t) const {
   const Clock::Instant then = t - from_seconds(truth.group_delay_s);
   const double constant_s = time_constant_s(truth);
@@ -714,6 +720,50 @@ Eigen::Array3d SimBench::filtered_direction(const OutputTruth& truth, Clock::Ins
   return sum;
 }
 
+/// The plays follow the response along its whole way: each is pushed where the response leaves its gap.
+SimBench::Plays SimBench::plays_at(const OutputTruth& truth, const Epoch& epoch, Clock::Instant t) const {
+  constexpr double kStepDeg = 0.1;
+  if (t >= epoch.settled && epoch.plays_at_rest) return *epoch.plays_at_rest;
+  const Clock::Instant end = std::min(t, epoch.settled);
+  const auto response = [&](Clock::Instant at) -> Eigen::Array3d {
+    return (mounted_matrix(truth, at) * force(epoch, at)).array();
+  };
+  Plays plays = epoch.plays ? *epoch.plays : Plays(response(epoch.start).replicate<1, kPlays>());
+  double way_deg = 0.0;
+  for (const AxisMotion& motion : epoch.motion)
+    way_deg += std::abs((motion.position(end) - motion.position(epoch.start)).deg());
+  const int steps = static_cast<int>(std::ceil(way_deg / kStepDeg)) + 1;
+  for (int i = 1; i <= steps; ++i) {
+    const Eigen::Array3d y = response(epoch.start + (end - epoch.start) * i / steps);
+    for (int k = 0; k < kPlays; ++k) {
+      const double gap = 0.5 * truth.hysteresis_width * kPlayGaps.at(static_cast<std::size_t>(k));
+      plays.col(k) = plays.col(k).max(y - gap).min(y + gap);
+    }
+  }
+  if (t >= epoch.settled) epoch.plays_at_rest = plays;
+  return plays;
+}
+
+/// The part of the hysteresis in the outputs (R).
+Eigen::Array3d SimBench::hysteresis_at(const OutputTruth& truth, const Epoch& epoch, Clock::Instant t) const {
+  if (truth.hysteresis_width > 0.0) {
+    if (t < epoch.settled) return Eigen::Array3d::Zero();
+    const Plays plays = plays_at(truth, epoch, t);
+    const Eigen::Array3d y = (mounted_matrix(truth, t) * force(epoch, t)).array();
+    Eigen::Array3d turned = Eigen::Array3d::Zero();
+    for (int k = 0; k < kPlays; ++k)
+      turned += (y - plays.col(k)) /
+                (0.5 * truth.hysteresis_width * kPlayGaps.at(static_cast<std::size_t>(k)) * kPlays);
+    return truth.hysteresis.array() * turned;
+  }
+  // During motion the direction is that from the output just before.
+  if (epoch.motion[0].moving(t) || epoch.motion[1].moving(t))
+    return truth.hysteresis.array() * filtered_direction(truth, t);
+  if (epoch.force_before.isZero(0.0)) return Eigen::Array3d::Zero();
+  return truth.hysteresis.array() *
+         (mounted_matrix(truth, t) * (force(epoch, t) - epoch.force_before)).array().sign();
+}
+
 double SimBench::rate_over_reference(const Epoch& epoch, Clock::Instant t) const {
   constexpr double kReferenceDegPerS = 60.0;
   return (epoch.motion[0].velocity_deg_per_s(t) + epoch.motion[1].velocity_deg_per_s(t)) / kReferenceDegPerS;
@@ -726,8 +776,6 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
   SimOutput output;
   output.temperature_degc = item_temperature(truth, t);
 
-  const Eigen::Vector3d f_P = force(epoch, t);
-  const Eigen::Matrix3d mounted = mounted_matrix(truth, t);
   Eigen::Array3d r;
   if (truth.low_pass_hz > 0.0 || truth.group_delay_s > 0.0) {
     r = filtered_response(truth, t) + truth.offset.array() + truth.drift_per_hour.array() * hours +
@@ -739,12 +787,7 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
     r += bend(truth, linear) + slow_offset(truth, t);
   }
   if (!truth.rate_offset.isZero(0.0)) r += truth.rate_offset.array() * rate_over_reference(epoch, t);
-  if (!truth.hysteresis.isZero(0.0) && (epoch.motion[0].moving(t) || epoch.motion[1].moving(t))) {
-    // On the way the output comes from where it was just before.
-    r += truth.hysteresis.array() * filtered_direction(truth, t);
-  } else if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0)) {
-    r += truth.hysteresis.array() * (mounted * (f_P - epoch.force_before)).array().sign();
-  }
+  if (!truth.hysteresis.isZero(0.0)) r += hysteresis_at(truth, epoch, t);
 
   if (truth.ring_down_amplitude != 0.0) {
     for (const AxisMotion& motion : epoch.motion) {

@@ -146,7 +146,7 @@ class SimBench {
 
   /// @throws std::invalid_argument if it is a fault of the wire.
   void inject(const WorldFault& fault);
-  /// Ends all faults in force at `t` and takes back those to come.
+  /// Ends all faults in force at `t` and removes later ones.
   void clear_faults(Clock::Instant t);
   std::vector<WorldFault> faults_at(Clock::Instant t) const;  ///< In force at `t`.
   /// The fault of this kind in force at `t`, if any (stage faults: of this axis).
@@ -161,6 +161,9 @@ class SimBench {
   };
   SimBench(ItemTruth item, Platter platter, Clock::Instant start);
 
+  static constexpr int kPlays = 4;
+  using Plays = Eigen::Array<double, 3, kPlays>;  ///< Positions of the plays of u, v, w (R).
+
   struct Epoch {  ///< The time from one command to the next.
     Clock::Instant start;
     Clock::Instant settled;  ///< When both axes have arrived, as planned.
@@ -171,6 +174,8 @@ class SimBench {
     std::array<std::uint64_t, 2> pose{};  ///< Canonical targets.
     Eigen::Vector3d force_before = Eigen::Vector3d::Zero();  ///< At rest, before the motion; zero: none yet.
     mutable std::optional<Eigen::Vector3d> force_at_rest{};
+    std::optional<Plays> plays{};  ///< At `start`.
+    mutable std::optional<Plays> plays_at_rest{};
   };
 
   const Epoch& epoch_at(Clock::Instant t) const;
@@ -183,6 +188,8 @@ class SimBench {
   Eigen::Array3d filtered_response(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d direction_at(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d filtered_direction(const OutputTruth& truth, Clock::Instant t) const;
+  Plays plays_at(const OutputTruth& truth, const Epoch& epoch, Clock::Instant t) const;
+  Eigen::Array3d hysteresis_at(const OutputTruth& truth, const Epoch& epoch, Clock::Instant t) const;
   double rate_over_reference(const Epoch& epoch, Clock::Instant t) const;
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;

@@ -11,7 +11,7 @@
 namespace abcal::sim {
 namespace {
 
-// A search for the reference takes time even where the axis already stands on it.
+// A search for the reference takes time even if the axis is already on it.
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
 
 }  // namespace
@@ -105,7 +105,7 @@ bool SimStage::halt() noexcept {
       bench_->halt(axis, clock_.now());
     }
     return true;
-  } catch (...) {  // false says so to the caller; halt() must not throw
+  } catch (...) {  // false reports it to the caller; halt() must not throw
     return false;
   }
 }

@@ -34,8 +34,7 @@ class ThermalWorld {
   double air(Clock::Instant t) const;
   double item(Clock::Instant t) const;
   double humidity_percent(Clock::Instant t) const;
-  /// From -1 (the item came from above) to 1 (from below), with a transition over the width of the
-  /// hysteresis.
+  /// From -1 (after cooling) to 1 (after warming), with a transition over the width of the hysteresis.
   double hysteresis(Clock::Instant t) const;
 
  private:

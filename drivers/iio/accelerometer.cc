@@ -4,12 +4,12 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 
 namespace abcal::iio {
 namespace {
@@ -25,10 +25,8 @@ constexpr std::size_t kExaminedPeriods = 9;
 constexpr double kPeriodTolerance = 0.2;  // Fraction of the median period: timer triggers jitter.
 
 std::optional<double> number_in(std::string_view text) {
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(text);
+  return value && std::isfinite(*value) ? value : std::nullopt;
 }
 
 }  // namespace
@@ -179,7 +177,7 @@ double IioAccelerometer::calibscale_step(const RegisterTexts& registers, std::st
   return device().name.starts_with("adis") ? kAdisScaleStep : 0.0;
 }
 
-/// The factor that calibscale is; 1 where there is none.
+/// calibscale as a factor, 1 if absent.
 double IioAccelerometer::scale_of(const RegisterTexts& registers, std::string_view axis) const {
   const std::string name = name_of(axis, "calibscale");
   if (!registers.contains(name)) return 1.0;
@@ -448,7 +446,7 @@ void IioAccelerometer::stop() noexcept {
     end_block();
     if (perhaps_open_) close_buffer();
   } catch (...) {
-    // On the way out: the interface says that failure is not reported.
+    // On the way out: by the interface, failure is not reported.
   }
   running_ = false;
   readings_.close();

@@ -24,8 +24,8 @@ namespace abcal::iio {
 /// accel_x, accel_y, accel_z, output in m/s2, (raw + offset) * scale as the kernel gives them. The
 /// corrections in the part itself (calibbias, calibscale) are in force and kept as correction registers.
 ///
-/// Samples come in blocks of 20 ms from the kernel's buffer, which holds 2.5 s. A time stamp, if the device
-/// has one in its scans, says how many are missing; without it none is known to be.
+/// Samples come in blocks of 20 ms from the kernel's buffer, which holds 2.5 s. A time stamp, if the scans of
+/// the device have one, shows how many are missing; without it losses are not detected.
 class IioAccelerometer final : public Accelerometer, public CorrectionRegisters {
  public:
   /// Sends nothing yet. @throws std::invalid_argument if settings.rate_hz is not a positive number or stream
@@ -48,7 +48,7 @@ class IioAccelerometer final : public Accelerometer, public CorrectionRegisters 
   /// Identifies, sets the rate and the trigger, and opens the buffer.
   /// @throws InstrumentError kRefused: the rate is not one of the device's, or it gives no buffer.
   void start() override;
-  /// A block that does not come is lost after 2 s, which may be later than the deadline by as much.
+  /// A block that does not arrive is lost after 2 s, possibly 2 s after the deadline.
   std::optional<Reading> next(Clock::Instant deadline) override;
   /// Closes the buffer and opens it again, because the kernel keeps the oldest samples.
   void discard_pending() override;

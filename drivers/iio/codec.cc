@@ -5,10 +5,10 @@
 #include <libxml/tree.h>
 
 #include <algorithm>
-#include <charconv>
 #include <limits>
 #include <memory>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::iio {
@@ -20,14 +20,6 @@ using wire::FrameVerdict;
 constexpr std::size_t kLongestNumber = 11;        // "-2147483648"
 constexpr std::int64_t kLongestText = 4'000'000;  // A description of some hundred devices.
 constexpr unsigned kMostChannels = 4096;
-
-template <class Number>
-std::optional<Number> whole_number(std::string_view text) {
-  Number value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
 
 /// A line with a number at the beginning of the bytes.
 struct NumberLine {
@@ -41,7 +33,7 @@ NumberLine number_line(std::string_view bytes) {
   const bool all_digits = digits.find_first_not_of("0123456789") == std::string_view::npos;
   if (!all_digits || text.size() > kLongestNumber) return {{FrameCheck::kInvalid, 0}};
   if (end == std::string_view::npos) return {{FrameCheck::kNeedMore, 0}};
-  const auto value = whole_number<std::int64_t>(text);
+  const auto value = pieces::number<std::int64_t>(text);
   if (!value) return {{FrameCheck::kInvalid, 0}};
   return {{FrameCheck::kComplete, end + 1}, *value};
 }
@@ -71,7 +63,7 @@ std::optional<Channel> channel_of(const xmlNode* node) {
     if (is_element(child, "attribute")) channel.attributes.push_back(property(child, "name"));
     if (!is_element(child, "scan-element")) continue;
     channel.format = parse_format(property(child, "format"));
-    const auto index = whole_number<std::int64_t>(property(child, "index"));
+    const auto index = pieces::number<std::int64_t>(property(child, "index"));
     if (!index) return std::nullopt;
     if (*index >= 0 && *index <= kMostChannels) channel.index = static_cast<unsigned>(*index);
   }
@@ -119,9 +111,9 @@ std::optional<SampleFormat> parse_format(std::string_view text) {
   if ((order != "le" && order != "be") || std::string_view("sSuU").find(sign) == std::string_view::npos ||
       slash == std::string_view::npos || shift == std::string_view::npos || shift < slash)
     return std::nullopt;
-  const auto bits = whole_number<unsigned>(text.substr(4, slash - 4));
-  const auto length = whole_number<unsigned>(text.substr(slash + 1, shift - slash - 1));
-  const auto places = whole_number<unsigned>(text.substr(shift + 2));
+  const auto bits = pieces::number<unsigned>(text.substr(4, slash - 4));
+  const auto length = pieces::number<unsigned>(text.substr(slash + 1, shift - slash - 1));
+  const auto places = pieces::number<unsigned>(text.substr(shift + 2));
   if (!bits || !length || !places) return std::nullopt;
   if (*length != 8 && *length != 16 && *length != 32 && *length != 64) return std::nullopt;
   if (*bits == 0 || *bits > *length || *places > *length - *bits) return std::nullopt;
@@ -185,8 +177,8 @@ std::optional<VersionLine> find_version(std::string_view bytes) {
     const std::size_t first = line.find('.');
     if (first == std::string_view::npos) continue;
     const std::size_t second = line.find('.', first + 1);
-    if (second == std::string_view::npos || !whole_number<std::uint16_t>(line.substr(0, first)) ||
-        !whole_number<std::uint16_t>(line.substr(first + 1, second - first - 1)))
+    if (second == std::string_view::npos || !pieces::number<std::uint16_t>(line.substr(0, first)) ||
+        !pieces::number<std::uint16_t>(line.substr(first + 1, second - first - 1)))
       continue;
     const std::string_view release = line.substr(second + 1);
     if (release.empty() || release.size() > kLongestRelease) continue;

@@ -27,7 +27,7 @@ struct SampleFormat {
 
   bool operator==(const SampleFormat&) const = default;
 };
-/// Absent: the text is no format, or one with several values (X2).
+/// Absent if the text is not a format, or is one with several values (X2).
 std::optional<SampleFormat> parse_format(std::string_view text);
 
 struct Channel {
@@ -56,7 +56,7 @@ struct Context {
   std::map<std::string, std::string> attributes{};
   std::vector<Device> devices{};
 };
-/// Absent: the text is no such description.
+/// Absent if the text is not such a description.
 std::optional<Context> parse_context(std::string_view xml);
 
 // Replies.
@@ -86,7 +86,7 @@ struct Samples {
   std::string bytes;       ///< Contents of whole chunks.
   std::int64_t error = 0;  ///< Negative: the error that ended the samples.
 };
-/// @pre check_samples() says that it is complete.
+/// @pre check_samples() reports that it is complete.
 Samples samples_of(std::string_view reply, std::string_view mask);
 
 // Scans.

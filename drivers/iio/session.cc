@@ -33,7 +33,7 @@ void Session::refuse(std::string_view command, std::int64_t error, std::string_v
                                     command, advice));
 }
 
-/// Reads once; false: nothing has come by the deadline.
+/// Reads once; false if nothing arrived by the deadline.
 bool Session::receive(Clock::Instant deadline) {
   const wire::ReceivedBytes more = stream_.read_until(deadline);
   if (more.bytes.empty()) return false;
@@ -101,7 +101,7 @@ void Session::catch_up() {
                    kAnswerTime.count()));
 }
 
-/// The next reply; nothing if there is none by the deadline, or a damaged one: then it is out of step.
+/// The next reply; nullopt if none arrives by the deadline, or a damaged one: then it is out of step.
 template <class Check>
 std::optional<std::string> Session::await(Check check, Clock::Instant deadline) {
   bool last_look = false;  // A stream that never pauses must not hold us.

@@ -32,8 +32,8 @@ class Session {
   /// @throws InstrumentError kNoReply, kWrongIdentity.
   std::string greet();
 
-  /// `data` follows the command's line. Repeated if no reply comes, except commands that must not be carried
-  /// out twice.
+  /// `data` follows the command's line. Repeated if no reply arrives, except commands that must not be
+  /// carried out twice.
   /// @throws InstrumentError kNoReply, kBadFrame.
   std::int64_t number(std::string_view command, std::string_view data = {}, bool may_repeat = true);
   /// Absent: it was refused; `error` then has the number.
@@ -65,7 +65,7 @@ class Session {
   std::string version_;
   std::string received_;
   Clock::Instant last_arrival_;
-  bool out_of_step_ = false;  ///< A reply is missing, or was damaged: it or its rest may still come.
+  bool out_of_step_ = false;  ///< A reply is missing, or was damaged: it or its rest may still arrive.
   std::uint64_t skipped_bytes_ = 0;
 
   bool under_way_ = false;  ///< A block.

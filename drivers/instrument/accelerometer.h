@@ -33,9 +33,9 @@ struct Reading {
   /// time stamp where it has one; else the driver counts the received readings and the losses that it knows
   /// of.
   std::uint64_t sequence = 0;
-  Clock::Instant arrival;  ///< When its last byte came in; late at times, never early.
+  Clock::Instant arrival;  ///< Arrival of its last byte; sometimes late, never early.
   std::optional<double> temperature_degc;
-  bool over_range = false;  ///< The instrument says that it clipped.
+  bool over_range = false;  ///< The instrument reports that it clipped.
 };
 
 /// Losses and errors of the stream since start(). The counts never decrease.
@@ -67,7 +67,7 @@ class Accelerometer {
   /// Configures the output and starts it.
   virtual void start() = 0;
 
-  /// The next reading, or nothing if none has arrived by `deadline` (that is not an error here: the caller
+  /// The next reading, or nullopt if none has arrived by `deadline` (that is not an error here: the caller
   /// knows how long is too long).
   /// @throws InstrumentError kLinkLost, kNotReady before start().
   virtual std::optional<Reading> next(Clock::Instant deadline) = 0;

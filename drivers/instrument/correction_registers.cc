@@ -1,19 +1,18 @@
 #include "drivers/instrument/correction_registers.h"
 
-#include <charconv>
 #include <cmath>
 #include <stdexcept>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal {
 namespace {
 
 /// "+01.5" too, as some instruments write it.
-bool read_number(std::string_view word, double& value) {
-  if (word.starts_with('+')) word.remove_prefix(1);
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-  return error == std::errc{} && end == word.data() + word.size() && std::isfinite(value);
+std::optional<double> number_in(std::string_view word) {
+  const auto value = pieces::number<double>(word.starts_with('+') ? word.substr(1) : word);
+  return value && std::isfinite(*value) ? value : std::nullopt;
 }
 
 }  // namespace
@@ -26,9 +25,8 @@ std::vector<double> register_numbers(const RegisterTexts& registers, const std::
                                 "\" is missing; required: its content, as it was read");
   std::vector<double> numbers;
   for (const std::string_view word : pieces::words(found->second, ", \t\r\n")) {
-    double value = 0.0;
-    if (read_number(word, value)) {
-      numbers.push_back(value);
+    if (const auto value = number_in(word)) {
+      numbers.push_back(*value);
     } else if (numbers.size() < count) {
       break;
     }

@@ -49,7 +49,7 @@ class CorrectionRegisters {
   virtual CorrectionAbility ability() = 0;
 
   /// Decodes the correction that registers with this content apply.
-  /// @throws std::invalid_argument if one is missing, is no number, or has an effect that is not an
+  /// @throws std::invalid_argument if one is missing, is not a number, or has an effect that is not an
   /// OutputCorrection
   virtual OutputCorrection decode(const RegisterTexts& registers) = 0;
 
@@ -70,9 +70,9 @@ class CorrectionRegisters {
   virtual void save(const RegisterTexts& registers) = 0;
 };
 
-/// The numbers in the text of one register, between commas or blanks; words of letters (a unit) behind them
+/// The numbers in the text of one register, between commas or blanks; words of letters (a unit) after them
 /// are skipped.
-/// @throws std::invalid_argument if there is no such register, or it has not `count` numbers
+/// @throws std::invalid_argument if there is no such register, or if it does not have `count` numbers
 std::vector<double> register_numbers(const RegisterTexts& registers, const std::string& name,
                                      std::size_t count);
 

@@ -16,7 +16,7 @@ struct DriverTraits {
   bool needs_chain_addresses = false;  ///< Each controller of a chain has an address in the bench file.
 
   // Accelerometers.
-  bool reads_volts = false;   ///< Whatever the unit of its output after scaling.
+  bool reads_volts = false;   ///< Independent of the unit of its output after scaling.
   bool names_device = false;  ///< The key `names` is the name of one device, not of u, v and w.
   /// Whether the maker and the model that it reports are those of the item. False: they are the name of a
   /// protocol or of a framework, or unknown. A serial number that it reports is always that of the item.

@@ -12,8 +12,8 @@ namespace abcal {
 
 /// State of one axis after a halt. There is no "probably": an axis that did not acknowledge may be moving.
 enum class AxisHalt {
-  kHalted,       ///< Its controller has said that it stands still.
-  kUnreachable,  ///< Its controller did not say so: it may be moving.
+  kHalted,       ///< Its controller has confirmed standstill.
+  kUnreachable,  ///< Its controller did not confirm it: it may be moving.
 };
 
 /// Result of a halt for each axis of a stage.
@@ -35,15 +35,15 @@ std::string in_words(const HaltReport& report);
 /// process on an inherited descriptor after this one has died in the middle of a command: plain data.
 /// wire::carry_out() does it.
 struct HaltRecipe {
-  /// A question whose reply says whether the axes stand still, or, without `standing`, that all replies
-  /// before it belong to the past. Also a command of which each waits for its reply.
+  /// A question whose reply reports whether the axes are at rest, or, without `standing`, separates older
+  /// replies from later ones. It may also be a command; each waits for its reply.
   struct Question {
     bool operator==(const Question&) const = default;
 
     std::string bytes;
     ReplyPattern reply;     ///< Replies to this question; others are skipped.
     ReplyPattern standing;  ///< Replies that report standstill; empty: does not matter.
-    /// Several devices may answer: all that come within this time after the first must say so.
+    /// Several devices may answer: all replies within this time after the first must report standstill.
     std::chrono::milliseconds listen{0};
   };
 
@@ -56,9 +56,9 @@ struct HaltRecipe {
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
   std::string reply_end{};                     ///< Terminator of a reply; empty: CR, LF or both.
-  /// Replies have no end that can be seen: patterns are searched for in the newest kLongestHaltReply bytes
-  /// that came since the question. Otherwise a pattern is for one whole reply without its terminator, and a
-  /// longer reply is skipped up to its terminator.
+  /// Replies have no visible end: patterns are searched for in the newest kLongestHaltReply bytes since the
+  /// question. Otherwise a pattern is for one whole reply without its terminator, and a longer reply is
+  /// skipped up to its terminator.
   bool binary = false;
   /// For a chamber: its action afterwards, in words ("is driven to 23 degC"). Empty for a stage.
   std::string chamber{};

@@ -1,31 +1,26 @@
 #include "drivers/instrument/instrument_error.h"
 
+#include "drivers/text/names.h"
+
 namespace abcal {
 
+constexpr auto kFaults = names<Fault>({{Fault::kRefused, "refused"},
+                                       {Fault::kNoReply, "no reply"},
+                                       {Fault::kBadFrame, "bad frame"},
+                                       {Fault::kLinkLost, "link lost"},
+                                       {Fault::kCannotOpen, "cannot open"},
+                                       {Fault::kWrongIdentity, "wrong instrument"},
+                                       {Fault::kNotReady, "not ready"},
+                                       {Fault::kOutOfTravel, "out of travel"},
+                                       {Fault::kStalled, "stalled"},
+                                       {Fault::kImplausible, "implausible readings"}});
+
 std::string_view to_string(Fault fault) {
-  switch (fault) {
-    case Fault::kRefused:
-      return "refused";
-    case Fault::kNoReply:
-      return "no reply";
-    case Fault::kBadFrame:
-      return "bad frame";
-    case Fault::kLinkLost:
-      return "link lost";
-    case Fault::kCannotOpen:
-      return "cannot open";
-    case Fault::kWrongIdentity:
-      return "wrong instrument";
-    case Fault::kNotReady:
-      return "not ready";
-    case Fault::kOutOfTravel:
-      return "out of travel";
-    case Fault::kStalled:
-      return "stalled";
-    case Fault::kImplausible:
-      return "implausible readings";
-  }
-  return "unknown fault";
+  return kFaults.of(fault, "unknown fault");
+}
+
+std::optional<Fault> fault_named(std::string_view words) {
+  return kFaults.value(words);
 }
 
 namespace {

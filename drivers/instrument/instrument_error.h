@@ -24,6 +24,8 @@ enum class Fault {
 
 /// The fault in a few words ("no reply"), for messages and records.
 std::string_view to_string(Fault fault);
+/// @return nothing for any other word
+std::optional<Fault> fault_named(std::string_view words);
 
 /// The one exception of all instruments: who, what, found, required. what() reads "<instrument>: <fault>:
 /// <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits) to \"MOV 1 400\"".

@@ -18,7 +18,7 @@ struct StageSettings {
 /// that concern it.
 struct AccelerometerSettings {
   double rate_hz = 100.0;
-  std::optional<double> full_scale;          ///< In the output unit, where the instrument does not say.
+  std::optional<double> full_scale;          ///< In the output unit, if the instrument does not report it.
   std::optional<double> link_bytes_per_s{};  ///< Capacity of the link, where known (a UART: baud / 10).
 
   // Analog accelerometers behind voltmeters, and boards that print lines of text: an output is

@@ -30,14 +30,15 @@ class Replaceable {
 
   /// Makes a new driver in place of the old one. @throws InstrumentError kCannotOpen, kLinkLost: not yet.
   void replace() {
-    set(nullptr);  // Its last words go to the port that is gone, not to the one that comes.
+    set(nullptr);  // Its last bytes go to the port that has vanished, not to the new one.
     std::unique_ptr<Instrument> made = make_();
     const std::lock_guard lock(between_drivers_);
     set(std::move(made));
     lost_ = false;
   }
 
-  /// Makes `call` while there is no driver, and none is put in place; nothing if there is one.
+  /// Makes `call` while there is no driver, and prevents a replacement meanwhile; nullopt if there is a
+  /// driver.
   template <class Call>
   auto without_driver(const Call& call) -> std::optional<decltype(call())> {
     const std::lock_guard lock(between_drivers_);

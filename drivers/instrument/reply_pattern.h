@@ -20,7 +20,7 @@ struct ReplyPart {
     kBytes,   ///< Exactly `bytes`; only the bits that are set in `mask` are compared.
     kRun,     ///< From `least` to `most` bytes, each of which is one of `bytes`.
     kNumber,  ///< A decimal number from `least` to `most`, without a sign and without leading zeros.
-    kText,    ///< Any number of bytes, also none; no CR and no LF.
+    kText,    ///< Zero or more bytes; no CR and no LF.
   };
 
   bool operator==(const ReplyPart&) const = default;
@@ -71,7 +71,7 @@ inline ReplyPart zero_bits(std::string mask) {
   return {.kind = ReplyPart::Kind::kBytes, .bytes = std::move(zeros), .mask = std::move(mask)};
 }
 
-/// This number of bytes, whatever they are.
+/// This number of arbitrary bytes.
 inline ReplyPart any_bytes(std::size_t count) {
   return zero_bits(std::string(count, '\0'));
 }

@@ -31,11 +31,11 @@ enum class MotionState { kMoving, kStopped };
 
 /// Properties of one axis as the controller reports them, in its own coordinates.
 struct StageAxisInfo {
-  std::string stage_name;        ///< The positioner's name, e.g. "M-060.PD"; empty if it does not say.
+  std::string stage_name;        ///< The positioner's name, e.g. "M-060.PD"; empty if not reported.
   Angle travel_min;              ///< Lowest target that is accepted.
   Angle travel_max;              ///< Highest target that is accepted.
-  Angle resolution;              ///< Smallest step of the encoder; zero if it does not say.
-  double speed_deg_per_s = 0.0;  ///< Speed of moves; 0 if it does not say.
+  Angle resolution;              ///< Smallest step of the encoder; zero if not reported.
+  double speed_deg_per_s = 0.0;  ///< Speed of moves; 0 if not reported.
   bool referenced = false;       ///< False: home() must be called before move_to().
 };
 
@@ -67,7 +67,7 @@ class RotationStage {
   virtual StageInfo identify() = 0;
 
   /// Starts the search for the reference of an axis (and switches its servo on); returns once accepted. Poll
-  /// motion_state() until stopped, then identify().axes[..].referenced says whether it was found.
+  /// motion_state() until stopped, then identify().axes[..].referenced reports whether it was found.
   virtual void home(StageAxis axis) = 0;
 
   /// Starts a move to an absolute angle (and switches the servo on); returns once the controller has accepted
@@ -77,7 +77,7 @@ class RotationStage {
   virtual void move_to(StageAxis axis, Angle target) = 0;
 
   /// Sets the speed of the moves of an axis from now on, in degrees/s; absent: the one that it had before the
-  /// first such call. The axis must stand.
+  /// first such call. The axis must be at rest.
   /// @throws InstrumentError kRefused: not this speed; std::runtime_error: the driver cannot set any
   virtual void set_speed(StageAxis /*axis*/, std::optional<double> /*deg_per_s*/) {
     throw std::runtime_error("stage: its axes cannot be turned at a stated rate");
@@ -85,11 +85,11 @@ class RotationStage {
 
   virtual MotionState motion_state(StageAxis axis) = 0;
 
-  /// Where the encoder says the axis is: measured, not commanded.
+  /// Position of the axis by its encoder: measured, not commanded.
   virtual Angle encoder_angle(StageAxis axis) = 0;
 
   /// Stops all axes. From any thread, also while another one waits for a reply; never throws.
-  /// @return false: the controller did not acknowledge; say so to the person.
+  /// @return false if the controller did not acknowledge; the caller must report it.
   virtual bool halt() noexcept = 0;
 
   /// Like halt(), but reports the state of each axis: of two controllers, one may answer and the other not.
@@ -99,7 +99,7 @@ class RotationStage {
   /// the owner, best after identify(). Sends nothing.
   virtual std::vector<HaltRecipe> halt_recipes() { return {}; }
 
-  /// How long a reply of its controller may take; nothing that watches over the stage may give up before.
+  /// How long a reply of its controller may take; a watchdog of the stage must not give up earlier.
   virtual Clock::Duration reply_deadline() const { return {}; }
 
   /// Events since the last call, oldest first. The owner puts them into its record.

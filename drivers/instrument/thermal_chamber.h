@@ -11,8 +11,8 @@ namespace abcal {
 
 /// State in which a chamber is left when a series ends.
 enum class ChamberPolicy {
-  kHold,     ///< It goes on at its last set point.
-  kAmbient,  ///< It is driven to 23 degC, and goes on.
+  kHold,     ///< It continues at its last set point.
+  kAmbient,  ///< It is driven to 23 degC, and continues.
   kOff,      ///< It is driven to 23 degC first, then switched off: an item that is cold would be iced.
 };
 
@@ -37,7 +37,7 @@ struct ChamberSettings {
 struct ChamberInfo {
   std::string maker;
   std::string model;
-  std::string serial_number;  ///< Empty: it does not say.
+  std::string serial_number;  ///< Empty: not reported.
   std::string firmware;
   double least_set_degc = 0.0;  ///< Set points that its own hardware accepts.
   double most_set_degc = 0.0;
@@ -78,15 +78,15 @@ class ThermalChamber {
 
   virtual ChamberReading read() = 0;
 
-  /// Pauses compressor or fan, so that nothing vibrates during a dwell, or lets them go on.
-  /// @return false: it cannot, and nothing was done
+  /// Pauses compressor or fan, so that nothing vibrates during a dwell, or lets them continue.
+  /// @return false if it cannot, and nothing was done
   virtual bool pause(bool paused) = 0;
 
   /// Recipe that leaves the chamber according to `policy` without this driver, valid from now until the
   /// driver's end: compressor or fan go on, and by kAmbient and kOff it is driven to 23 degC as fast as it
   /// can. It is not switched off once it is warm. Bytes hold the temperature in the unit that identify() has
   /// verified.
-  /// @return nothing: no action is needed, or none is possible
+  /// @return nullopt if no action is needed, or if none is possible
   /// @throws InstrumentError kNotReady before identify()
   virtual std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) {
     (void)policy;

@@ -2,12 +2,12 @@
 
 #include <fmt/format.h>
 
-#include <charconv>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::manual_chamber {
@@ -23,10 +23,8 @@ std::optional<double> number_in(std::string_view text) {
   std::string plain(pieces::trimmed(text));
   for (char& c : plain)
     if (c == ',') c = '.';
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(plain.data(), plain.data() + plain.size(), value);
-  if (plain.empty() || error != std::errc() || end != plain.data() + plain.size()) return std::nullopt;
-  return std::isfinite(value) ? std::optional(value) : std::nullopt;
+  const auto value = pieces::number<double>(plain);
+  return value && std::isfinite(*value) ? value : std::nullopt;
 }
 
 }  // namespace

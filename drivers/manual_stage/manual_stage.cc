@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::manual_stage {
@@ -31,12 +32,8 @@ constexpr double kTravelDeg = 3600.0;
 using pieces::trimmed;
 
 std::optional<double> number_in(std::string_view text) {
-  double value = 0.0;
-  const auto [end, error] =
-      std::from_chars(text.data(), text.data() + text.size(), value, std::chars_format::fixed);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (!std::isfinite(value)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(text, std::chars_format::fixed);
+  return value && std::isfinite(*value) ? value : std::nullopt;
 }
 
 InstrumentError failure(Fault fault, std::string_view detail) {

@@ -15,15 +15,15 @@
 namespace abcal::manual_stage {
 
 /// An angle as a person types it, in degrees: "89.98", "89,98", or degrees, minutes and seconds ("89 58 48",
-/// "89 58.8"; a minus sign before the degrees holds for all). Nothing if it is anything else.
+/// "89 58.8"; a minus sign before the degrees holds for all). Nullopt for any other text.
 std::optional<Angle> parse_typed_angle(std::string_view text);
 
 /// An answer farther from the asked angle than this is asked for again: a slip of the fingers, not a reading.
 inline constexpr double kPlausibleDeg = 1.0;
 
-/// A stage that a person turns by hand: a dividing head, or a table with a scale. The program says which axis
-/// to turn to which angle; the person presses Enter once it is there, or types the angle read off. Angles are
-/// those of the scales.
+/// A stage that a person turns by hand: a dividing head, or a table with a scale. The program prints which
+/// axis to turn to which angle; the person presses Enter once it is there, or types the angle read off.
+/// Angles are those of the scales.
 ///
 /// There is nothing to halt: halt() returns false, always, and only ends the question that is open.
 class ManualStage final : public RotationStage {
@@ -73,7 +73,8 @@ class ManualStage final : public RotationStage {
 /// A manual stage at the terminal of this process: asks with `show`, which writes to standard error (standard
 /// output belongs to results) and must not throw; reads standard input; a halt (Ctrl-C) ends an open question
 /// at once.
-/// @throws InstrumentError kCannotOpen, at once, if standard input or standard error is no terminal: then no
+/// @throws InstrumentError kCannotOpen, at once, if standard input or standard error is not a terminal: then
+/// no
 ///   person can turn the stage.
 std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings,
                                            std::function<void(std::string_view)> show);

@@ -16,7 +16,7 @@ namespace {
 using mavlink::Frame;
 using Exchange = wire::PacketExchange<mavlink::FrameParser>;
 
-/// A heartbeat comes once a second.
+/// A heartbeat is sent once a second.
 constexpr std::chrono::milliseconds kAnswerTime{1500};
 constexpr std::uint64_t kHeartbeatLostMicroseconds = 5'000'000;
 /// Bytes of a HIGHRES_IMU, version 2; other messages may share the link.
@@ -94,7 +94,8 @@ MavlinkAccelerometer::Command MavlinkAccelerometer::command(std::uint16_t number
           }};
 }
 
-/// The next one of the controller. It sends its heartbeat by itself; some begin once they have heard one.
+/// The next one of the controller. It sends its heartbeat without a request; some begin once they have
+/// received one.
 mavlink::Heartbeat MavlinkAccelerometer::await_heartbeat() {
   mavlink::Heartbeat found;
   exchange_.ask({mavlink::our_heartbeat(), "a heartbeat",
@@ -134,7 +135,7 @@ AccelerometerInfo MavlinkAccelerometer::interrogate() {
       .serial_number = version.serial_number,
       .firmware = version.firmware,
       .output_unit = "m/s2",
-      .full_scale = settings_.full_scale,  // It does not say.
+      .full_scale = settings_.full_scale,  // It does not report it.
       .resolution = message_ == mavlink::kScaledImu ? std::optional(kScaledResolution) : std::nullopt,
       .rate_hz = settings_.rate_hz,
   };
@@ -327,7 +328,7 @@ wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acce
     // A time of 32 bits in milliseconds begins again after 50 days.
     const bool wrapped = acceleration.time_span_us != 0 && now + acceleration.time_span_us / 2 < *last;
     if (wrapped) now += acceleration.time_span_us;
-    if (now == *last) return {.malformed = true};  // A repeated message is no second reading.
+    if (now == *last) return {.malformed = true};  // A repeated message is not a second reading.
     if (now < *last)
       end_and_fail(Fault::kNotReady, fmt::format("its time went back from {} to {} us: it was restarted",
                                                  *last, acceleration.time_us));

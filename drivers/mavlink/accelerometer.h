@@ -18,7 +18,7 @@ namespace abcal {
 /// else SCALED_IMU, in steps of a thousandth of g.
 ///
 /// Its messages are asked for with MAV_CMD_SET_MESSAGE_INTERVAL; stop() asks for the controller's own rate
-/// again. A gap in the numbers of the messages and in their times says how many readings are missing.
+/// again. A gap in the numbers of the messages and in their times shows how many readings are missing.
 class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::FrameParser>,
                                    public CorrectionRegisters {
  public:

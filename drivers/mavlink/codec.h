@@ -64,8 +64,8 @@ class FrameParser {
  public:
   void feed(std::string_view bytes);
   std::optional<Frame> next();
-  /// The next frame that is whole *behind* a beginning that waits for more bytes, for when the line has
-  /// fallen silent: a false beginning may claim bytes that never come.
+  /// The next whole frame *after* an incomplete one, for a line that has become silent: a false beginning may
+  /// claim bytes that never arrive.
   std::optional<Frame> next_behind_partial();
   void lose_track();
   bool has_partial() const { return begin_ < buffer_.size(); }
@@ -101,7 +101,7 @@ struct Acceleration {
   std::optional<double> temperature_degc{};
   bool clipped = false;  ///< A word is at the end of its range.
 };
-/// HIGHRES_IMU or SCALED_IMU; nothing if it is neither, or holds no new acceleration, or none that can be.
+/// HIGHRES_IMU or SCALED_IMU; nullopt for others, or without a new and possible acceleration.
 std::optional<Acceleration> decode_acceleration(const Frame& frame);
 
 struct Version {

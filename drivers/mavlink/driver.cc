@@ -5,7 +5,7 @@
 namespace abcal {
 namespace {
 
-/// An autopilot's heartbeat, which comes by itself once a second.
+/// An autopilot's heartbeat, which is sent once a second without a request.
 bool has_a_heartbeat(std::string_view received) {
   mavlink::FrameParser parser;
   parser.feed(received);

@@ -86,7 +86,7 @@ std::size_t data_bytes(std::uint8_t field) {
 
 using Exchange = wire::PacketExchange<mip::PacketParser>;
 
-/// The acknowledgement names the command by its descriptor; behind it comes the reply field, if it has one.
+/// The acknowledgement names the command by its descriptor; after it follows the reply field, if it has one.
 struct Request {
   std::uint8_t set = 0;
   std::uint8_t descriptor = 0;
@@ -170,7 +170,7 @@ void MipAccelerometer::start() {
   }
   if (abilities_.stream_control) select_streams();
 
-  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are not part of the stream that begins now.
   readings_.listen(mip::PacketParser());
   last_reference_time_ns_.reset();
   last_gps_timestamp_.reset();
@@ -355,7 +355,8 @@ void MipAccelerometer::select_streams() {
       ask(exchange_,
           {mip::k3dmSet, kStreamControl, mip::u8(1) + mip::u8(*stream) + mip::u8(0), "stream off", {}});
     } catch (const InstrumentError& error) {
-      // Not every set that is listed can be streamed. One that goes on costs room on the line, no reading.
+      // Not every set that is listed can be streamed. One that continues uses bandwidth, but costs no
+      // reading.
       if (error.fault() != Fault::kRefused) throw;
     }
   }

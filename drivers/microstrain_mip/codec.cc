@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/names.h"
 #include "drivers/text/text.h"
 
 namespace abcal::mip {
@@ -110,23 +111,15 @@ std::string message_format(std::uint8_t data_set, const std::vector<FormatEntry>
   return with_entries(std::move(data), entries);
 }
 
-std::string ack_code_in_words(std::uint8_t code) {
-  switch (code) {
-    case 0:
-      return "done";
-    case 1:
-      return "unknown command";
-    case 2:
-      return "checksum of the command was wrong";
-    case 3:
-      return "parameter not valid";
-    case 4:
-      return "command failed";
-    case 5:
-      return "the device timed out";
-    default:
-      return "no meaning known";
-  }
+constexpr auto kAckCodes = names<std::uint8_t>({{0, "done"},
+                                                {1, "unknown command"},
+                                                {2, "checksum of the command was wrong"},
+                                                {3, "parameter not valid"},
+                                                {4, "command failed"},
+                                                {5, "the device timed out"}});
+
+std::string_view ack_code_in_words(std::uint8_t code) {
+  return kAckCodes.of(code, "no meaning known");
 }
 
 std::optional<std::vector<Field>> split_fields(std::string_view payload) {

@@ -70,7 +70,7 @@ std::string message_format(std::uint8_t data_set, const std::vector<FormatEntry>
 
 /// The meaning of the code in an acknowledgement: "unknown command" for 1, and so on; "code 23" if there is
 /// none.
-std::string ack_code_in_words(std::uint8_t code);
+std::string_view ack_code_in_words(std::uint8_t code);
 
 /// One field of a packet; `data` points into the packet's payload.
 struct Field {
@@ -78,7 +78,7 @@ struct Field {
   std::string_view data;  ///< Without length and descriptor.
 };
 
-/// The fields of a payload, or nothing if a length byte is below 2 or points beyond the end.
+/// The fields of a payload, or nullopt if a length byte is below 2 or points beyond the end.
 std::optional<std::vector<Field>> split_fields(std::string_view payload);
 
 /// A packet whose checksum was right; `payload` points into the parser until its next call.
@@ -103,9 +103,8 @@ class PacketParser {
   /// The next packet in the bytes fed so far; absent if it needs more bytes.
   std::optional<Packet> next();
 
-  /// The next packet that is whole *behind* a beginning that waits for more bytes, for when the stream has
-  /// fallen silent: a false sync may claim 255 bytes that never come, with a good answer among those that
-  /// came.
+  /// The next whole packet *after* an incomplete one, for a stream that has become silent: a false sync may
+  /// claim 255 bytes that never arrive, with a good answer among those that have arrived.
   std::optional<Packet> next_behind_partial();
 
   /// True if bytes are held back that may begin a packet.
@@ -127,7 +126,7 @@ class PacketParser {
   std::uint64_t skipped_bytes_ = 0;
 };
 
-// Field data into values. Nothing if the data has not exactly the length of the field.
+// Field data as values. Nullopt if the data does not have exactly the length of the field.
 
 /// 80,04: acceleration (specific force) along the sensor's x, y, z, in g. The reaction, not the pull: an axis
 /// that points up reads +1 at rest, so a device lying with its z axis down reads about -1 on z.

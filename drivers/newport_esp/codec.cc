@@ -4,10 +4,10 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::newport_esp {
@@ -17,14 +17,6 @@ using pieces::trimmed;
 
 // No angle, speed or count of a stage is this large: a larger number is a damaged reply.
 constexpr double kLargestNumber = 1e12;
-
-template <class Integer>
-std::optional<Integer> whole_number(std::string_view text) {
-  Integer value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
 
 using Texts = std::pair<int, std::string_view>;
 
@@ -139,18 +131,13 @@ std::optional<std::string> line_text(std::string_view line) {
 bool is_unsolicited(std::string_view text) {
   if (text.size() < 3 || text[0] != 'E' || (text.size() > 3 && text[3] >= '0' && text[3] <= '9'))
     return false;
-  const auto code = whole_number<int>(text.substr(1, 2));
+  const auto code = pieces::number<int>(text.substr(1, 2));
   return code && *code >= 35 && *code <= 42;
 }
 
 std::optional<double> parse_number(std::string_view text) {
-  text = trimmed(text);
-  if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(pieces::without_plus(trimmed(text)));
+  return value && std::abs(*value) <= kLargestNumber ? value : std::nullopt;
 }
 
 std::optional<bool> parse_flag(std::string_view text) {
@@ -160,7 +147,7 @@ std::optional<bool> parse_flag(std::string_view text) {
 }
 
 std::optional<int> parse_unit(std::string_view text) {
-  const auto unit = whole_number<int>(text);
+  const auto unit = pieces::number<int>(text);
   if (!unit || *unit < 0 || *unit >= static_cast<int>(kUnits.size())) return std::nullopt;
   return unit;
 }
@@ -175,8 +162,8 @@ std::optional<ErrorReport> parse_error_report(std::string_view text) {
   if (first == std::string_view::npos) return std::nullopt;
   const std::size_t second = text.find(',', first + 1);
   if (second == std::string_view::npos) return std::nullopt;
-  const auto code = whole_number<int>(trimmed(text.substr(0, first)));
-  const auto stamp = whole_number<std::uint64_t>(trimmed(text.substr(first + 1, second - first - 1)));
+  const auto code = pieces::number<int>(trimmed(text.substr(0, first)));
+  const auto stamp = pieces::number<std::uint64_t>(trimmed(text.substr(first + 1, second - first - 1)));
   const std::string_view words = trimmed(text.substr(second + 1));
   if (!code || *code < 0 || *code > 9999 || !stamp || words.empty()) return std::nullopt;
   return ErrorReport{*code, *stamp, std::string(words)};

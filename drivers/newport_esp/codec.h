@@ -32,12 +32,12 @@ std::string command_line(std::string_view text);
 /// "<axis>PA<degrees>", to a millionth of a degree. @pre target is finite.
 std::string move_command(std::string_view axis, Angle target);
 
-/// One line: ends with CR, LF or CR LF (a lone LF after a CR that was already taken is an empty line). Longer
-/// than kLongestReply is no reply.
+/// One line: ends with CR, LF or CR LF (a lone LF after a CR that was already taken is an empty line). Lines
+/// longer than kLongestReply are not replies.
 wire::FrameVerdict check_reply(std::string_view bytes);
 inline constexpr std::size_t kLongestReply = 256;
 
-/// The text of a line, without its end and the blanks around it; nothing if a byte is not printable.
+/// The text of a line, without its end and the blanks around it; nullopt if a byte is not printable.
 std::optional<std::string> line_text(std::string_view line);
 
 /// An unsolicited line: E and a code from 35 to 42 (as EPICS sees and skips them).
@@ -72,13 +72,13 @@ struct Identity {
   std::string model;     ///< "ESP301"
   std::string firmware;  ///< "3.0.1 6/1/99"
 };
-/// The reply to VE?: "ESP301 Version 3.0.1 6/1/99"; nothing if it is no ESP300 to ESP302.
+/// The reply to VE?: "ESP301 Version 3.0.1 6/1/99"; nullopt if it is not an ESP300 to ESP302.
 std::optional<Identity> parse_identity(std::string_view text);
 
 /// The reply to ID?: "URS100BCC, SN12345".
 struct StageIdentity {
   std::string model;
-  std::string serial_number;  ///< "12345"; empty if it does not say.
+  std::string serial_number;  ///< "12345"; empty if not reported.
 };
 std::optional<StageIdentity> parse_stage_identity(std::string_view text);
 

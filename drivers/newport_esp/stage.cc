@@ -25,8 +25,8 @@ namespace {
 constexpr std::string_view kIdentityQuery = "VE?";
 constexpr std::string_view kErrorQuery = "TB?";
 
-/// The error buffer is a FIFO; ten entries are usual [unverified against a device]. One that never empties is
-/// no error buffer.
+/// The error buffer is a FIFO; ten entries are usual [unverified against a device]. A reply that never ends
+/// the list is not an error buffer.
 constexpr int kMostErrors = 32;
 
 /// Time that halt() leaves an exchange under way to end: its reply deadline, and some.
@@ -121,9 +121,9 @@ class NewportEspController final : public wire::LineController {
     const auto text = line_text(reply);
     const auto report = text ? parse_error_report(*text) : std::nullopt;
     if (!report) return std::nullopt;
-    // The time stamp counts from when the controller was switched on [unverified against a device]; if it
-    // goes back, the controller was switched on again, or the counter ran over. Either way the reference is
-    // no longer known.
+    // The time stamp counts from power-on of the controller [unverified against a device]; if it decreases,
+    // the controller was switched on again, or the counter overflowed. In both cases the reference is no
+    // longer known.
     const bool restarted = report->time_stamp < last_time_stamp_;
     last_time_stamp_ = report->time_stamp;
     if (restarted) {
@@ -443,7 +443,7 @@ class NewportEspController final : public wire::LineController {
   std::array<bool, 2> homing_{};
   std::array<bool, 2> motor_on_{};
   std::array<bool, 2> speed_set_{};
-  std::array<int, 2> motion_error_{};  ///< Errors of motions that came up between other questions; 0: none.
+  std::array<int, 2> motion_error_{};  ///< Errors of motions that occurred between other questions; 0: none.
 };
 
 }  // namespace

@@ -27,18 +27,18 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(15);
 ///
 /// identify() reads and thereby clears the controller's error buffer; the serial numbers are those of the two
 /// stages (ID?), because the controller reports none of its own. It throws kWrongIdentity for a device that
-/// is no ESP controller, an axis that it does not have, a unit other than degrees. home() switches the motor
-/// on and starts the home search that the controller is set up for (OR without a number). move_to() throws
-/// kNotReady (not homed; motor off), kOutOfTravel (software limit), kRefused for any other error code, with
-/// its text. motion_state() is MD?; once that says done, the error buffer must be empty too: kRefused if the
-/// motion ended with an error (following error, limit, ...). halt() sends ST (all axes), then asks MD?.
+/// is not an ESP controller, an axis that it does not have, a unit other than degrees. home() switches the
+/// motor on and starts the home search that the controller is set up for (OR without a number). move_to()
+/// throws kNotReady (not homed; motor off), kOutOfTravel (software limit), kRefused for any other error code,
+/// with its text. motion_state() is MD?; once that says done, the error buffer must be empty too: kRefused if
+/// the motion ended with an error (following error, limit, ...). halt() sends ST (all axes), then asks MD?.
 ///
 /// One owner thread; halt() from any.
 class NewportEspStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
-  /// @throws std::invalid_argument for invalid settings: no axis, one axis twice, an axis that
-  ///   is no number from 1 to 6, a speed that is not a positive number, any address.
+  /// @throws std::invalid_argument for invalid settings: no axis, one axis twice, an axis that is not a
+  /// number from 1 to 6, a speed that is not a positive number, any address.
   NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
 };
 

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::newport_xps {
@@ -71,13 +71,6 @@ std::string_view find_text(const std::array<Texts, N>& texts, int key, std::stri
   return otherwise;
 }
 
-std::optional<int> parse_int(std::string_view text) {
-  int value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
-
 }  // namespace
 
 wire::FrameVerdict check_reply(std::string_view bytes) {
@@ -92,20 +85,17 @@ std::optional<Reply> parse_reply(std::string_view frame) {
   if (!std::all_of(frame.begin(), frame.end(), [](char c) { return c >= 0x20 && c < 0x7F; }))
     return std::nullopt;
   const std::size_t comma = frame.find(',');
-  const auto code = parse_int(frame.substr(0, comma));
+  const auto code = pieces::number<int>(frame.substr(0, comma));
   constexpr int kLargestCode = 9999;
   if (!code || *code > 1 || *code < -kLargestCode) return std::nullopt;
   return Reply{*code, comma == std::string_view::npos ? std::string() : std::string(frame.substr(comma + 1))};
 }
 
 std::optional<double> parse_number(std::string_view text) {
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
   // No position, speed or acceleration is this large: a larger number is a damaged reply.
   constexpr double kLargestNumber = 1e12;
-  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(text);
+  return value && std::abs(*value) <= kLargestNumber ? value : std::nullopt;
 }
 
 std::optional<std::vector<double>> parse_numbers(std::string_view values, std::size_t count) {
@@ -121,7 +111,7 @@ std::optional<std::vector<double>> parse_numbers(std::string_view values, std::s
 
 std::optional<int> parse_state(std::string_view text) {
   constexpr int kLargestState = 127;
-  const auto state = parse_int(text);
+  const auto state = pieces::number<int>(text);
   if (!state || *state < 0 || *state > kLargestState) return std::nullopt;
   return state;
 }

@@ -24,7 +24,7 @@ struct Reply {
   std::string values;  ///< Separated by commas; of an error: the request, or words.
 };
 
-/// A whole reply; nothing if it is none.
+/// A whole reply; nullopt if the frame is not one.
 std::optional<Reply> parse_reply(std::string_view frame);
 
 /// A decimal number that fills the text.
@@ -35,7 +35,7 @@ std::optional<int> parse_state(std::string_view text);
 
 struct Identity {
   std::string model;     ///< "XPS-C8"
-  std::string firmware;  ///< "V2.6.0"; empty: it does not say.
+  std::string firmware;  ///< "V2.6.0"; empty: not reported.
 };
 /// The reply to FirmwareVersionGet: "XPS-C8 Firmware V2.6.0".
 std::optional<Identity> parse_identity(std::string_view text);

@@ -17,7 +17,7 @@ namespace abcal::newport_xps {
 namespace {
 
 constexpr std::string_view kIdentityRequest = "FirmwareVersionGet(char *)";
-/// Initialising a motor takes its time; killing a group waits until it stands still.
+/// Initialising a motor is slow; killing a group waits for its standstill.
 constexpr Clock::Duration kLongCommand = std::chrono::seconds(5);
 constexpr Clock::Duration kStartPatience = std::chrono::seconds(2);
 constexpr Clock::Duration kPollInterval = std::chrono::milliseconds(10);
@@ -92,7 +92,7 @@ wire::LineExchange::Manner manner() {
           .show = printable};
 }
 
-/// The connection for the motions of one axis: replies come when the motion has ended.
+/// The connection for the motions of one axis: replies arrive when the motion has ended.
 class MotionConnection {
  public:
   explicit MotionConnection(std::unique_ptr<wire::ByteStream> stream) : stream_(std::move(stream)) {}
@@ -103,19 +103,19 @@ class MotionConnection {
     ++awaited_;
   }
 
-  /// The reply to the last command, if it has come by now.
+  /// The reply to the last command, if it has arrived.
   std::optional<Reply> reply(Clock::Instant now) {
     take(now);
     return awaited_ == 0 ? std::exchange(last_, std::nullopt) : std::nullopt;
   }
 
-  /// Waits until nothing of the past can come any more. @return false: it does not answer.
+  /// Waits until no earlier reply can arrive any more. @return false if it does not answer.
   bool settle(Clock& clock) {
     take(clock.now());
     if (awaited_ > 0) {
       command(kIdentityRequest);
       const Clock::Instant deadline = clock.now() + kReplyDeadline;
-      // The answer to the identity request comes last.
+      // The answer to the identity request arrives last.
       while (!is_identity_ && clock.now() < deadline && take(deadline)) continue;
       if (!is_identity_) return false;
     }
@@ -130,7 +130,7 @@ class MotionConnection {
     return *stream_;
   }
 
-  /// @return whether anything came by `until`
+  /// @return whether anything arrived by `until`
   bool take(Clock::Instant until) {
     const std::string bytes = require_stream().read_until(until).bytes;
     received_ += bytes;
@@ -292,7 +292,7 @@ class NewportXpsController final : public wire::LineController {
     return motion;
   }
 
-  /// Sends a command that takes time but is no motion, and waits until it is done.
+  /// Sends a slow command that is not a motion, and waits until it is done.
   void prepare(StageAxis axis, const std::string& request) {
     MotionConnection& motion = command_motion(axis, request);
     const Clock::Instant deadline = clock_.now() + kLongCommand;
@@ -308,7 +308,7 @@ class NewportXpsController final : public wire::LineController {
     }
   }
 
-  /// Commands a motion, and waits until the group says that it has begun.
+  /// Commands a motion, and waits until the group reports that it has begun.
   void start_motion(StageAxis axis, const std::string& request) {
     halted_[index(axis)] = false;
     MotionConnection& motion = command_motion(axis, request);
@@ -418,7 +418,7 @@ class NewportXpsController final : public wire::LineController {
   }
 
   /// Without the driver a home search is not ended (that takes GroupKill, which switches the motor off): the
-  /// halt is not acknowledged before it has ended by itself.
+  /// halt is not acknowledged before it has ended.
   std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe{.driver = "newport_xps",
                       .axes = {has(StageAxis::kX), has(StageAxis::kZ)},

@@ -25,12 +25,11 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// controller's own configuration names them. One name may be empty: that axis is then not on this
 /// controller.
 ///
-/// identify() throws kWrongIdentity for a device that is no XPS and for a positioner that is not there.
-/// home() kills the group if it was initialised, initialises it and starts the home search. move_to() throws
+/// identify() throws kWrongIdentity for a device that is not an XPS and for a missing positioner. home()
+/// kills the group if it was initialised, initialises it and starts the home search. move_to() throws
 /// kNotReady (not homed, moving), kOutOfTravel, kRefused with the controller's error in words. motion_state()
-/// throws kRefused where the state of the group says that the motion has ended for another reason than its
-/// arrival. halt() aborts the motions (GroupMoveAbort); a home search is ended by GroupKill, which also
-/// switches the motor off.
+/// throws kRefused if the state of the group shows that the motion has ended before its target. halt() aborts
+/// the motions (GroupMoveAbort); a home search is ended by GroupKill, which also switches the motor off.
 ///
 /// One owner thread; halt() from any.
 class NewportXpsStage final : public wire::LineStage {

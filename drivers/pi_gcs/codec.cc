@@ -3,46 +3,28 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
-#include <utility>
 
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::pi_gcs {
 namespace {
 
+using pieces::lower;
 using pieces::trimmed;
 
 // No angle, speed or count of a stage is this large: a larger number is a damaged reply.
 constexpr double kLargestNumber = 1e12;
-
-char lower(char c) {
-  return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-}
-
-std::string lower(std::string_view text) {
-  std::string result(text);
-  std::transform(result.begin(), result.end(), result.begin(), [](char c) { return lower(c); });
-  return result;
-}
 
 std::string_view without_hex_prefix(std::string_view digits) {
   if (digits.starts_with("0x") || digits.starts_with("0X")) digits.remove_prefix(2);
   return digits;
 }
 
-template <class Integer>
-std::optional<Integer> whole_number(std::string_view text, int base = 10) {
-  Integer value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
-
 /// PI_CNTR_... codes (PI, error codes of GCS 2.0; the texts are ours).
-constexpr std::array kErrorTexts = std::to_array<std::pair<int, std::string_view>>({
+constexpr auto kErrorTexts = names<int>({
     {0, "no error"},
     {1, "syntax error in a parameter"},
     {2, "unknown command"},
@@ -163,7 +145,7 @@ std::optional<std::string> parameter_text(const std::vector<std::string>& lines,
     const std::string_view name = space == std::string::npos ? std::string_view(entry.axis)
                                                              : std::string_view(entry.axis).substr(space + 1);
     const std::string_view digits = without_hex_prefix(name);
-    if (whole_number<unsigned>(digits, digits.size() == name.size() ? 10 : 16) == parameter) {
+    if (pieces::number<unsigned>(digits, digits.size() == name.size() ? 10 : 16) == parameter) {
       return entry.value;
     }
   }
@@ -176,18 +158,13 @@ std::optional<double> parameter_number(const std::vector<std::string>& lines, un
 }
 
 std::optional<double> parse_number(std::string_view text) {
-  text = trimmed(text);
-  if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(pieces::without_plus(trimmed(text)));
+  return value && std::abs(*value) <= kLargestNumber ? value : std::nullopt;
 }
 
 std::optional<int> parse_error_code(const std::vector<std::string>& lines) {
   if (lines.size() != 1) return std::nullopt;
-  return whole_number<int>(lines.front());
+  return pieces::number<int>(lines.front());
 }
 
 std::optional<std::vector<std::string>> parse_help(const std::vector<std::string>& lines) {
@@ -210,7 +187,7 @@ std::optional<std::vector<std::string>> parse_help(const std::vector<std::string
 
 std::optional<std::uint64_t> parse_motion_mask(const std::vector<std::string>& lines) {
   if (lines.size() != 1) return std::nullopt;
-  return whole_number<std::uint64_t>(without_hex_prefix(lines.front()), 16);
+  return pieces::number<std::uint64_t>(without_hex_prefix(lines.front()), 16);
 }
 
 std::optional<std::vector<AxisStatus>> parse_status(const std::vector<std::string>& lines) {
@@ -219,7 +196,7 @@ std::optional<std::vector<AxisStatus>> parse_status(const std::vector<std::strin
   if (digits.empty() || digits.size() % 4 != 0) return std::nullopt;
   std::vector<AxisStatus> axes;
   for (std::size_t at = 0; at < digits.size(); at += 4) {
-    const auto word = whole_number<std::uint16_t>(digits.substr(at, 4), 16);
+    const auto word = pieces::number<std::uint16_t>(digits.substr(at, 4), 16);
     if (!word) return std::nullopt;
     const auto bit = [&word](unsigned mask) { return (*word & mask) != 0; };
     axes.push_back({bit(0x0001), bit(0x0004), bit(0x1000), bit(0x2000), bit(0x4000)});
@@ -271,10 +248,7 @@ bool is_degrees(std::string_view unit) {
 }
 
 std::string_view error_text(int code) {
-  for (const auto& [known, text] : kErrorTexts) {
-    if (known == code) return text;
-  }
-  return "unknown error";
+  return kErrorTexts.of(code, "unknown error");
 }
 
 }  // namespace abcal::pi_gcs

@@ -38,12 +38,13 @@ std::string single_byte(char code, std::string_view address = {});
 /// "MOV <axis> <degrees>", to a millionth of a degree. @pre target is finite.
 std::string move_command(std::string_view axis, Angle target);
 
-/// The one end-of-reply rule: a LF that is not preceded by a space. Longer than kLongestReply is no reply.
+/// The one end-of-reply rule: a LF that is not preceded by a space. Lines longer than kLongestReply are not
+/// replies.
 wire::FrameVerdict check_reply(std::string_view bytes);
 inline constexpr std::size_t kLongestReply = 65536;  ///< HLP? of a large controller has some 20 kB.
 
 /// The lines of a reply without their endings (space LF, LF, CR LF). In a daisy chain the first line must
-/// start with "0 <address> ", which is taken off; nothing if it does not.
+/// start with "0 <address> ", which is removed; nullopt if it does not.
 std::optional<std::vector<std::string>> reply_lines(std::string_view reply, std::string_view address = {});
 
 struct AxisValue {
@@ -51,10 +52,10 @@ struct AxisValue {
   std::string value;  ///< Right of '='.
 };
 
-/// Lines "axis=value"; nothing if one of them is anything else.
+/// Lines "axis=value"; nullopt if one of them is anything else.
 std::optional<std::vector<AxisValue>> parse_axis_values(const std::vector<std::string>& lines);
 
-/// The value of `axis` in a reply of "axis=value" lines; nothing if it is not there.
+/// The value of `axis` in a reply of "axis=value" lines; nullopt if absent.
 std::optional<std::string> axis_value(const std::vector<std::string>& lines, std::string_view axis);
 
 /// Like axis_value(), as a finite number or as a flag (0 or 1); absent if the text is neither.
@@ -73,7 +74,7 @@ std::optional<double> parse_number(std::string_view text);
 /// The reply to ERR?.
 std::optional<int> parse_error_code(const std::vector<std::string>& lines);
 
-/// The commands in a reply to HLP?: "MOV", "#5", "*IDN?"; nothing if it is no such list.
+/// The commands in a reply to HLP?: "MOV", "#5", "*IDN?"; nullopt if it is not such a list.
 std::optional<std::vector<std::string>> parse_help(const std::vector<std::string>& lines);
 
 /// The reply to #5: bit k-1 is axis k in the order of SAI?.
@@ -97,11 +98,11 @@ std::optional<bool> parse_ready(char reply);
 struct Identity {
   std::string maker;
   std::string model;
-  std::string serial_number;  ///< Empty: older firmware does not say.
+  std::string serial_number;  ///< Empty: older firmware does not report it.
   std::string firmware;
 };
 
-/// The reply to *IDN?; nothing if it does not come from a controller by Physik Instrumente.
+/// The reply to *IDN?; nullopt if it is not from a controller by Physik Instrumente.
 std::optional<Identity> parse_identity(const std::vector<std::string>& lines);
 
 /// Whether PUN? names degrees.

@@ -121,7 +121,7 @@ std::optional<Lines> parse_axis_names(const Lines& lines) {
   return plausible ? std::optional(lines) : std::nullopt;
 }
 
-/// Value that `parse` reads from the reply to a question at an address, asked once; absent if none comes in
+/// Value that `parse` reads from the reply to a question at an address, asked once; absent if none arrives in
 /// time.
 template <class Parse>
 auto asked_once(wire::ByteStream& stream, Clock& clock, const std::string& address, std::string_view text,
@@ -267,8 +267,8 @@ class PiGcsController final : public wire::LineController {
     const std::uint64_t halts = line().halts();
     int code = m.replies->execute(command_line(command, m.address), command);
     m.replies->error_may_wait(false);
-    // Only a stop causes error 10. If the stop came before the command on a slow line, the code says nothing
-    // about the command, which would have replaced it by its own code.
+    // Only a stop causes error 10. If the stop arrived before the command on a slow line, the code does not
+    // concern the command, which would have replaced it by its own code.
     if (code == kErrorStoppedByCommand && line().halts() == halts && !line().halting())
       code = read_error(m, command);
     return code;
@@ -454,7 +454,7 @@ class PiGcsController final : public wire::LineController {
     execute_or_throw(m, fmt::format("SVO {} 1", name));
     servo_on_[index(axis)] = true;
     apply_speed(axis);
-    // A controller that does not know TRS? is taken to have the switch: FRF itself will say if not.
+    // A controller that does not know TRS? is taken to have the switch: FRF itself reports if it has none.
     if (ask_optional(m, fmt::format("TRS? {}", name), flag_of(name)).value_or(true)) {
       execute_or_throw(m, fmt::format("FRF {}", name));
     } else if (ask_optional(m, fmt::format("LIM? {}", name), flag_of(name)).value_or(false)) {
@@ -503,8 +503,7 @@ class PiGcsController final : public wire::LineController {
                    fmt::format("axis \"{}\" has lost its reference; home it: {}", name, said));
   }
 
-  /// Whether the controller knows #5, #4 or only ONT? is found out by asking, in this order, unless it has
-  /// said so.
+  /// Tries #5, #4 and ONT? in this order unless the controller has listed its commands.
   bool moving(StageAxis axis) {
     Member& m = member_of(axis);
     const std::size_t position = position_[index(axis)];
@@ -595,8 +594,8 @@ class PiGcsController final : public wire::LineController {
     return std::none_of(axes.begin(), axes.end(), [&](StageAxis axis) { return moving(axis); });
   }
 
-  /// A half-written command becomes one with a word too many, which the controller refuses. The identity
-  /// comes in between, so that an older reply does not pass for the mask. Each recipe stops all controllers.
+  /// A half-written command becomes one with an extra word, which the controller refuses. The identity is
+  /// asked in between, so that an older reply is not taken for the mask. Each recipe stops all controllers.
   std::vector<HaltRecipe> halt_recipes() const override {
     std::vector<HaltRecipe> recipes;
     for (const auto& m : members_) {
@@ -647,7 +646,7 @@ std::vector<std::string> axes_on_line(std::unique_ptr<wire::ByteStream> stream, 
     if (auto axes = asked_once(*stream, clock, address, "SAI?", parse_axis_names))
       chain.emplace_back(address, *std::move(axes));
   }
-  // One alone answers without its address, too.
+  // A single controller also answers without its address.
   if (chain.size() < 2) return asked_once(*stream, clock, "", "SAI?", parse_axis_names).value_or(Lines{});
   std::vector<std::string> names;
   for (const auto& [address, axes] : chain)

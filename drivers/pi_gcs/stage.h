@@ -37,14 +37,14 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 ///
 /// One owner thread; halt() from any.
 ///
-/// identify() throws kWrongIdentity for a device that is no PI controller, for an axis that it does not have
-/// (lists those it has), and for a unit other than degrees. home() goes by the reference switch (FRF), or
-/// where there is none by the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost
-/// its reference or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code,
-/// with its text. motion_state() is the controller's present answer (#5, or #4, or ONT? where these are not
-/// known): stopped is not yet "on target". halt() sends #24 (in a chain also STP to each controller), then
-/// asks until the controller says that it was stopped (error 10) or that nothing moves; halt_axes() reports
-/// each axis, so that a silent controller does not hide the answer of the other one.
+/// identify() throws kWrongIdentity for a device that is not a PI controller, for an axis that it does not
+/// have (lists those it has), and for a unit other than degrees. home() uses the reference switch (FRF), or
+/// without one the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost its reference
+/// or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code, with its text.
+/// motion_state() is the controller's present answer (#5, or #4, or ONT? where these are not known): stopped
+/// is not yet "on target". halt() sends #24 (in a chain also STP to each controller), then asks until the
+/// controller reports that it was stopped (error 10) or that nothing moves; halt_axes() reports each axis, so
+/// that a silent controller does not hide the answer of the other one.
 class PiGcsStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.

@@ -21,7 +21,7 @@ using scpi::Meter;
 constexpr unsigned kMostLostInARow = 3;
 
 // The voltmeter knows its line frequency, we do not: the faster one where a rate may be possible, the slower
-// one where a scan may still come.
+// one where a scan may still arrive.
 constexpr double kFastLineHz = 60.0;
 constexpr double kSlowLineHz = 50.0;
 // An automatic zero measures twice. It is set for the Keysight scanners; the others keep their own setting.

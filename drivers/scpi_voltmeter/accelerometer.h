@@ -32,8 +32,7 @@ class VoltmeterAccelerometer : public Accelerometer {
 
   /// Queries the identity of every voltmeter. A scan under way is abandoned, and start() must be called
   /// again.
-  /// @throws InstrumentError kWrongIdentity if one is none of the known models, which the message lists;
-  /// kNoReply.
+  /// @throws InstrumentError kWrongIdentity if one is not a known model (the message lists these); kNoReply.
   AccelerometerInfo identify() override;
 
   /// Identifies, resets (*RST) and sets the voltmeters, and takes one scan, which is not delivered
@@ -44,7 +43,7 @@ class VoltmeterAccelerometer : public Accelerometer {
   void start() override;
 
   /// @throws InstrumentError kNoReply and kBadFrame if three scans in a row are lost; kRefused if the
-  ///   voltmeter says why.
+  /// voltmeter reports the reason.
   std::optional<Reading> next(Clock::Instant deadline) override;
 
   /// The scan under way, having begun before now, will be discarded. Does not wait for it.

@@ -7,6 +7,8 @@
 #include <charconv>
 #include <cmath>
 
+#include "drivers/text/text.h"
+
 namespace abcal::scpi {
 namespace {
 
@@ -14,9 +16,8 @@ constexpr double kOverload = 9.9e37;
 constexpr double kNoVoltage = 1e30;  // Only SCPI's special values have this magnitude.
 constexpr std::size_t kMostChannels = 1000;
 
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
+using pieces::is_digit;
+using pieces::split;
 
 bool is_letter(char c) {
   return (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z');
@@ -27,19 +28,7 @@ bool is_printable(std::string_view text) {
 }
 
 std::string_view trim(std::string_view text) {
-  while (text.starts_with(' ')) text.remove_prefix(1);
-  while (text.ends_with(' ')) text.remove_suffix(1);
-  return text;
-}
-
-std::vector<std::string_view> split(std::string_view text, char separator) {
-  std::vector<std::string_view> words;
-  for (;;) {
-    const std::size_t end = text.find(separator);
-    words.push_back(text.substr(0, end));
-    if (end == std::string_view::npos) return words;
-    text.remove_prefix(end + 1);
-  }
+  return pieces::trimmed(text, " ");
 }
 
 /// Takes a sign off the front, because std::from_chars accepts only a minus. Absent if the rest begins with

@@ -32,7 +32,7 @@ struct Identity {
 
   bool operator==(const Identity&) const = default;
 };
-/// Nothing unless there are four words, the first two of which are not empty, and the first begins with a
+/// Nullopt unless there are four words, of which the first two are not empty, and the first begins with a
 /// letter.
 std::optional<Identity> parse_identity(std::string_view text);
 
@@ -54,8 +54,8 @@ struct ChannelReading {
   bool operator==(const ChannelReading&) const = default;
 };
 /// "+5.0E-01,-2.5E-01" or, with channels, "+5.0E-01,101,-2.5E-01,102"; a number may carry the unit V or VDC.
-/// Nothing if a number is not finite, cannot be a voltage (9.91E37 is SCPI's "not a number"), or anything is
-/// left over.
+/// Nullopt if a number is not finite, cannot be a voltage (9.91E37 is SCPI's "not a number"), or anything
+/// follows.
 std::optional<std::vector<ChannelReading>> parse_readings(std::string_view text, bool with_channels);
 
 /// Content of a definite-length block: "#214(@101,102,103)" gives "(@101,102,103)". Absent unless the block
@@ -64,7 +64,7 @@ std::optional<std::string_view> parse_block(std::string_view text);
 
 /// "(@101,102,103)".
 std::string channel_list(std::span<const int> channels);
-/// The channels of a list, ranges ("101:103") written out. Nothing if it is no list, or has over 1000.
+/// The channels of a list, ranges ("101:103") written out. Nullopt if it is not a list, or has over 1000.
 std::optional<std::vector<int>> parse_channel_list(std::string_view text);
 
 }  // namespace abcal::scpi

@@ -271,7 +271,7 @@ void Meter::leave(const std::vector<std::string>& commands) noexcept {
   try {
     for (const std::string& command : commands) send(command);
   } catch (...) {
-    // On the way out: the interface says that failure is not reported.
+    // On the way out: by the interface, failure is not reported.
   }
 }
 

@@ -40,7 +40,7 @@ class Meter {
   Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
   /// Queries the identity, twice if necessary. Bytes that arrived before are discarded.
-  /// @throws InstrumentError kNoReply, kWrongIdentity (the reply is no identity; the message quotes it).
+  /// @throws InstrumentError kNoReply, kWrongIdentity (the reply is not an identity; the message quotes it).
   Identity identify();
 
   /// Sends a command, and does not ask whether it was accepted.
@@ -50,7 +50,8 @@ class Meter {
   /// @throws InstrumentError kRefused, in the instrument's words.
   void configure(const std::vector<std::string>& commands);
 
-  /// The channels that the voltmeter itself says it scans. @throws InstrumentError kNoReply, kBadFrame.
+  /// The channels that the voltmeter itself reports that it scans. @throws InstrumentError kNoReply,
+  /// kBadFrame.
   std::vector<int> scan_list();
 
   void set_plan(ScanPlan plan) { plan_ = std::move(plan); }
@@ -58,8 +59,9 @@ class Meter {
   /// Sends READ? and does not wait.
   /// @pre No scan is under way.
   void begin_scan();
-  /// How the scan under way ended; nothing if it has not by `deadline`. Lost if there is none.
-  /// @throws InstrumentError kRefused if the instrument says why there is no reading; kNoReply if it does not
+  /// How the scan under way ended; nullopt if it has not by `deadline`. Lost if there is none.
+  /// @throws InstrumentError kRefused if the instrument reports why there is no reading; kNoReply if it does
+  /// not
   ///   answer *IDN? either.
   std::optional<ScanOutcome> await_scan(Clock::Instant deadline);
 

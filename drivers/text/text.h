@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -7,6 +8,18 @@
 namespace abcal::pieces {
 
 inline constexpr std::string_view kWhiteSpace = " \t\r\n";
+
+constexpr bool is_digit(char c) {
+  return c >= '0' && c <= '9';
+}
+
+/// ASCII in lower case; other characters stay.
+inline std::string lower(std::string_view text) {
+  std::string out(text);
+  for (char& c : out)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  return out;
+}
 
 /// `text` without `blanks` at its ends.
 inline std::string_view trimmed(std::string_view text, std::string_view blanks = kWhiteSpace) {

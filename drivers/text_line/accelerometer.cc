@@ -142,7 +142,7 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
   stream_->discard_input();
   const Clock::Instant began = clock_.now();
   const Clock::Instant deadline = began + kFirstLineTime + from_seconds((kLikeLines + 1) / settings_.rate_hz);
-  // Bytes may never cease to come.
+  // The stream may never pause.
   while (like_lines_ < kLikeLines && readings_.receive(deadline) && clock_.now() < deadline) continue;
   if (like_lines_ < kLikeLines) fail_without_lines(clock_.now() - began);
   if (decimal_commas_) {

@@ -19,11 +19,11 @@ namespace abcal {
 /// Any board that prints an accelerometer's three outputs as lines of text. Nothing is ever sent to it.
 ///
 /// An output is (number - bias) / scale, in AccelerometerSettings::unit. "nan" and "inf" on a line are
-/// delivered unchanged: the reading was made, but its value is no number.
+/// delivered unchanged: the reading was made, but its value is not a number.
 ///
-/// Lines have no counter: readings whose line came damaged are counted as lost, those that vanish without
+/// Lines have no counter: readings whose line was damaged are counted as lost, those that vanish without
 /// leaving a byte behind cannot be counted, and a late line does not count as a loss (wire::ReadingStream).
-/// Nor is there a checksum: a damaged digit that is still a digit passes.
+/// Nor is there a checksum: a damaged digit that is still a digit is not noticed.
 class TextLineAccelerometer final : public Accelerometer {
  public:
   /// @throws std::invalid_argument for invalid settings, or if stream is null.

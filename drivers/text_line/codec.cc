@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::text_line {
@@ -24,16 +25,14 @@ bool is_of_a_number(char c) {
          std::string_view("+-.()_").find(c) != std::string_view::npos;
 }
 
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
+using pieces::is_digit;
 
 bool all_digits(std::string_view word) {
   return !word.empty() && std::ranges::all_of(word, is_digit);
 }
 
 /// True for an even number of whole numbers of which every second one is all digits, and one has a leading
-/// zero before other digits. No board prints a number such as "01", but it may stand behind a decimal comma.
+/// zero before other digits. No board prints a number such as "01", but it may follow a decimal comma.
 bool looks_like_decimal_commas(const std::vector<std::string_view>& words) {
   constexpr std::size_t kAxes = 3;
   if (words.size() % 2 != 0 || words.size() < 2 * kAxes) return false;
@@ -62,7 +61,7 @@ std::optional<double> number_behind(std::string_view rest, const LineFormat& for
   if (rest.starts_with('+')) rest.remove_prefix(1);
   std::string text(rest.substr(0, LineReader::kLongestLine));
   if (format.decimal_mark == ',') {
-    // Points are no part of its numbers then, and only the first comma is.
+    // Points are not part of its numbers then, and only the first comma is.
     text.resize(std::min(text.find('.'), text.size()));
     const std::size_t comma = text.find(',');
     const bool is_mark = comma != std::string::npos && comma + 1 < text.size() && is_digit(text[comma + 1]);
@@ -97,14 +96,7 @@ NamedNumber named_number(std::string_view line, std::string_view name, const Lin
 }
 
 std::optional<double> parse_number(std::string_view word) {
-  if (word.starts_with('+')) {
-    word.remove_prefix(1);
-    if (word.starts_with('-')) return std::nullopt;
-  }
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-  if (error != std::errc{} || end != word.data() + word.size()) return std::nullopt;
-  return value;
+  return pieces::number<double>(pieces::without_plus(word));
 }
 
 void require_names(const LineFormat& format) {

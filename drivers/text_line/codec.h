@@ -10,7 +10,7 @@
 /// Lines of numbers as boards print them. Pure: no port, no clock, no logging.
 namespace abcal::text_line {
 
-/// Where the numbers stand on a line.
+/// Places of the numbers on a line.
 struct LineFormat {
   std::vector<int> columns{1, 2, 3};  ///< Columns that are read, in this order; the first column is 1.
   std::string separator{","};         ///< One character; " ": any run of blanks and tabs.
@@ -38,7 +38,7 @@ std::optional<double> parse_number(std::string_view word);
 /// Number behind one name on a line (LineFormat::names).
 struct NamedNumber {
   int found = 0;                ///< Number of occurrences of the name, followed by ":" or "=".
-  std::optional<double> value;  ///< Absent: no number stands behind it.
+  std::optional<double> value;  ///< Absent if no number follows it.
 };
 NamedNumber named_number(std::string_view line, std::string_view name, const LineFormat& format);
 
@@ -46,12 +46,12 @@ NamedNumber named_number(std::string_view line, std::string_view name, const Lin
 ///
 /// A line ends with CR, LF or both. Bytes before the first end are dropped: they may be the rest of a line.
 /// Empty lines and comments are skipped. Quotes around a word (CSV) do not belong to it, and separators
-/// between them do not separate. Other lines that have no numbers where they should are headers before the
-/// first line of numbers, and bad lines from then on; so is a line longer than kLongestLine, and one with
-/// another number of columns once that is required. The result does not depend on how the bytes were split.
+/// between them do not separate. Other lines without numbers in the columns are headers before the first line
+/// of numbers, and bad lines from then on; so is a line longer than kLongestLine, and one with another number
+/// of columns once that is required. The result does not depend on how the bytes were split.
 ///
-/// With names: lines without any of them say something else and are skipped; a name that stands twice on a
-/// line, has no number, or comes again before the others have come makes it a bad line.
+/// With names: lines without any of them are skipped; a name that occurs twice on a line, has no number, or
+/// is repeated before the others have arrived makes it a bad line.
 ///
 /// There is no checksum: a digit that was damaged into another digit passes.
 class LineReader {
@@ -66,7 +66,7 @@ class LineReader {
   /// The next line of numbers in the bytes fed so far; absent if it needs more bytes.
   std::optional<NumberLine> next();
 
-  /// From now on a line must have this many columns: two lines whose end between them was lost are none.
+  /// From now on a line must have this many columns: two lines joined by a lost line end are a bad line.
   void require_words(std::size_t words) { required_words_ = words; }
 
   /// Called where bytes are missing: bytes before the next end of a line are dropped.

@@ -1,10 +1,10 @@
 #include <algorithm>
-#include <charconv>
 #include <memory>
 #include <system_error>
 #include <utility>
 
 #include "drivers/registry.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "drivers/text_line/accelerometer.h"
 #include "drivers/text_line/environment.h"
@@ -15,9 +15,7 @@ namespace {
 bool is_number(std::string_view word) {
   word = pieces::trimmed(word);
   if (word.starts_with('+')) word.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-  return error == std::errc() && end == word.data() + word.size();
+  return pieces::number<double>(word).has_value();
 }
 
 /// Two whole lines of three numbers or more. The first line may have lost its beginning.

@@ -61,7 +61,7 @@ EnvironmentReading TextLineEnvironment::read(Clock::Instant deadline) {
       if (received.arrival >= oldest) newest = std::move(line);
     }
     if (ran_over) reader_.lose_track();
-    if (clock_.now() >= deadline) break;  // Bytes may never cease to come.
+    if (clock_.now() >= deadline) break;  // The stream may never pause.
   }
   if (!newest) fail_without_line(reader_.header_lines() + reader_.bad_frames() - other_lines_before, bytes);
   return checked(*newest);

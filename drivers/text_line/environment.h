@@ -23,11 +23,11 @@ class TextLineEnvironment final : public EnvironmentSensor {
   TextLineEnvironment(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                       const EnvironmentSettings& settings);
 
-  /// The newest whole line that waits, or the next one if that came more than 10 s ago. A sensor that prints
-  /// every t seconds needs a deadline 2 t away for its first line, as half a line does not count.
+  /// The newest whole line that waits, or the next one if that arrived more than 10 s ago. A sensor that
+  /// prints every t seconds needs a deadline 2 t away for its first line, as half a line does not count.
   /// @throws InstrumentError kNoReply (no whole line), kWrongIdentity (lines, and never one with numbers in
-  /// the columns), kBadFrame (only damaged lines); kImplausible if a number is none, or outside -90 to 100
-  /// degC, 0 to 100 %, 300 to 1200 hPa.
+  /// the columns), kBadFrame (only damaged lines); kImplausible if a number is not finite, or outside -90 to
+  /// 100 degC, 0 to 100 %, 300 to 1200 hPa.
   EnvironmentReading read(Clock::Instant deadline) override;
 
  private:

@@ -31,7 +31,7 @@ void append(std::string& bytes, std::uint32_t value, std::size_t size) {
   for (std::size_t n = 0; n < size; ++n) bytes += static_cast<char>(value >> (8U * n) & 0xFFU);
 }
 
-/// Text of a fixed width, up to its first NUL; nothing if it has other bytes than printable ones.
+/// Text of a fixed width, up to its first NUL; nullopt if a byte is not printable.
 std::optional<std::string> text_at(std::string_view bytes, std::size_t at, std::size_t width) {
   std::string_view text = bytes.substr(at, width);
   text = text.substr(0, text.find('\0'));

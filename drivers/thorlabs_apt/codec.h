@@ -51,11 +51,10 @@ std::string short_message(std::uint16_t id, std::uint8_t first, std::uint8_t sec
                           std::uint8_t destination);
 std::string long_message(std::uint16_t id, std::uint8_t destination, std::string_view data);
 
-/// The first message to the host in the bytes; or, as a frame of its own, the bytes before it, which are
-/// none.
+/// The first message to the host in the bytes; or, as a frame of their own, the bytes before it.
 wire::FrameVerdict check_message(std::string_view bytes);
 
-/// A whole message to the host; nothing if it is none.
+/// A whole message to the host; nullopt if the frame is not one.
 std::optional<Message> parse_message(std::string_view frame);
 
 struct HardwareInfo {
@@ -85,7 +84,7 @@ std::optional<Velocity> parse_velocity(const Message& message);
 std::string set_velocity(std::uint8_t destination, std::uint8_t channel, const Velocity& velocity);
 std::string move_absolute(std::uint8_t destination, std::uint8_t channel, std::int32_t position);
 
-/// The stage that a channel says it drives: "DDR100".
+/// The stage that a channel reports: "DDR100".
 std::optional<std::string> parse_stage_name(const Message& message);
 
 /// A controller's refusal of a command.

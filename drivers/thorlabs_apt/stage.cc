@@ -74,7 +74,7 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
         fmt::format("Thorlabs stage: address \"{}\"; required: none", wire::printable(settings.address)));
 }
 
-/// Whichever of the two is there hears it: a bay of a controller, or a unit's channel.
+/// The one of the two that exists receives it: a bay of a controller, or a unit's channel.
 struct Place {
   std::uint8_t destination = 0;
   std::uint8_t channel = 1;
@@ -86,9 +86,9 @@ Place channel_of_unit(std::uint8_t number) {
   return {kUnit, number};
 }
 
-/// The message six times, one byte further each time. A controller that is in the middle of a message hears
-/// it once, wherever that message ends: none of its shifted copies is addressed to a controller. The total
-/// length is a multiple of a message's, so the alignment of later messages does not change.
+/// The message six times, one byte further each time. A controller that is in the middle of a message
+/// receives it once, wherever that message ends: none of its shifted copies is addressed to a controller. The
+/// total length is a multiple of a message's, so the alignment of later messages does not change.
 std::string in_any_step(std::string_view message) {
   std::string all;
   for (int n = 0; n < 6; ++n) all.append(message).push_back('\0');
@@ -111,7 +111,7 @@ std::string stop_all(const StageSettings& settings) {
   return stop;
 }
 
-/// Unrequested messages (a move has ended) and frames that are no message are skipped.
+/// Unrequested messages (a move has ended) and malformed frames are skipped.
 std::string normal_frame(std::string_view frame) {
   const auto message = parse_message(frame);
   constexpr std::array<std::uint16_t, 3> kUnasked{0x0444, 0x0464, 0x0466};
@@ -199,7 +199,7 @@ class ThorlabsAptController final : public wire::LineController {
     return ask(place_of(axis), status_id(), "the status request", parse_status);
   }
 
-  /// Sends a command, once, and the status request with it: a refusal comes before the status.
+  /// Sends a command, once, and the status request with it: a refusal arrives before the status.
   Status command(StageAxis axis, const std::string& bytes, std::string_view shown) {
     const Place place = place_of(axis);
     status_of_ = place.destination;
@@ -301,7 +301,7 @@ class ThorlabsAptController final : public wire::LineController {
     return a;
   }
 
-  /// The axis, once it is known where it is.
+  /// The axis, once its place is known.
   Axis& known(StageAxis axis) {
     Axis& a = on_this_line(axis);
     ensure_known();

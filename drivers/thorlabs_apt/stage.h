@@ -22,10 +22,9 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// The stages turn without end: targets up to one turn either way of the controller's zero are accepted.
 ///
 /// The protocol acknowledges neither settings nor commands: settings are read back, and a motion counts as
-/// accepted once the status shows it. identify() throws kWrongIdentity for a device that is no APT
-/// controller, and where the counts per degree are not known. motion_state() throws kRefused for the fault
-/// bits of the status and for a motion that has ended far from its target. halt() sends a profiled stop to
-/// both axes.
+/// accepted once the status shows it. identify() throws kWrongIdentity for a device that is not an APT
+/// controller, or if the counts per degree are unknown. motion_state() throws kRefused for the fault bits of
+/// the status and for a motion that has ended far from its target. halt() sends a profiled stop to both axes.
 ///
 /// One owner thread; halt() from any.
 class ThorlabsAptStage final : public wire::LineStage {

@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
@@ -62,10 +63,7 @@ std::optional<unsigned> error_code(std::string_view text) {
   constexpr std::string_view kError = "VNERR,";
   if (!text.starts_with(kError)) return std::nullopt;
   text.remove_prefix(kError.size());
-  unsigned code = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), code, 16);
-  if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
-  return code;
+  return pieces::number<unsigned>(text, 16);
 }
 
 /// The values behind `VNxxx,n` in an answer to this command ("VNRRG,01", "VNWRG,75,1,..."); absent if it
@@ -90,7 +88,7 @@ std::optional<std::string> values_if_answer(std::string_view text, std::string_v
 }
 
 /// [unverified against a device] The manuals give the IMU rate of the VN-100 as 800 Hz and that of the VN-200
-/// and VN-300 as 400 Hz. A device for which this is wrong is found out by its time stamps (check_period).
+/// and VN-300 as 400 Hz. Its time stamps reveal a device for which this is wrong (check_period).
 unsigned imu_rate_of(std::string_view model) {
   return model.starts_with("VN-2") || model.starts_with("VN-3") ? 400U : 800U;
 }
@@ -133,7 +131,7 @@ void VectorNavAccelerometer::start() {
   exchange("VNWRG,06,0");  // No text output: its messages would share the line.
   if (!try_binary_output()) set_text_output();
 
-  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are not part of the stream that begins now.
   readings_.listen(
       vectornav::MessageParser(output_ == Output::kBinary ? vectornav::binary_header(kOutputFields) : ""));
   last_time_ns_.reset();
@@ -158,7 +156,7 @@ std::string VectorNavAccelerometer::exchange(std::string_view command) {
   return std::move(answer.data);
 }
 
-/// Sends a command, again if no answer comes, and returns its answer or refusal.
+/// Sends a command, again if no answer arrives, and returns its answer or refusal.
 wire::PacketAnswer VectorNavAccelerometer::try_exchange(std::string_view command) {
   return exchange_.ask(command_of(command));
 }
@@ -197,7 +195,7 @@ AccelerometerInfo VectorNavAccelerometer::interrogate() {
       .serial_number = serial_number,
       .firmware = firmware,
       .output_unit = "m/s2",
-      .full_scale = settings_.full_scale,  // The device does not say.
+      .full_scale = settings_.full_scale,  // The device does not report it.
       .resolution = std::nullopt,
       .rate_hz = rate_hz_ > 0.0 ? rate_hz_ : imu_rate_hz_ / divisor,
   };
@@ -334,7 +332,7 @@ wire::DecodedFrame VectorNavAccelerometer::decode(const Message& message) {
   std::optional<vectornav::Measurement> measurement;
   if (const auto* text = std::get_if<TextMessage>(&message)) {
     if (const auto error = error_code(text->text)) {
-      // An error of a command comes late: none is outstanding while it streams.
+      // A late error of a command: none is outstanding while it streams.
       if (!is_of_no_command(*error)) return {};
       end_and_fail(Fault::kRefused,
                    fmt::format("error {:02X} ({}) while it streams {:.6g} readings per second", *error,

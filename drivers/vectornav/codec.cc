@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <bit>
-#include <charconv>
 #include <utility>
+
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 
 namespace abcal::vectornav {
 namespace {
@@ -58,11 +60,7 @@ std::string to_hex(unsigned value, std::size_t digits) {
 }
 
 std::optional<double> number(std::string_view word) {
-  if (word.starts_with('+') && !word.starts_with("+-")) word.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-  if (error != std::errc{} || end != word.data() + word.size()) return std::nullopt;
-  return value;
+  return pieces::number<double>(pieces::without_plus(word));
 }
 
 /// "T" and digits, or "S" and hexadecimal digits.
@@ -71,7 +69,7 @@ bool is_appended(std::string_view word, char kind) {
          word.find_first_not_of("0123456789ABCDEFabcdef", 1) == std::string_view::npos;
 }
 
-/// Bytes of the fields of a mask; nothing if the length of one is not known, or there is none.
+/// Bytes of the fields of a mask; nullopt if the length of one is unknown, or if it has no fields.
 std::optional<std::size_t> bytes_of_fields(std::size_t group, unsigned mask) {
   if (mask == 0) return std::nullopt;
   std::size_t bytes = 0;
@@ -83,8 +81,8 @@ std::optional<std::size_t> bytes_of_fields(std::size_t group, unsigned mask) {
   return bytes;
 }
 
-/// Layout of a line of measurements: how many numbers it holds, and at which of them acceleration and
-/// temperature stand.
+/// Layout of a line of measurements: how many numbers it holds, and the positions of acceleration and
+/// temperature.
 struct LineLayout {
   std::string_view name;
   std::size_t numbers;
@@ -324,37 +322,22 @@ std::optional<Measurement> decode_binary_measurement(const BinaryMessage& messag
   return measurement;
 }
 
-std::string error_in_words(unsigned code) {
-  switch (code) {
-    case 0x01:
-      return "hard fault";
-    case 0x02:
-      return "serial buffer overflow";
-    case 0x03:
-      return "wrong checksum";
-    case 0x04:
-      return "invalid command";
-    case 0x05:
-      return "too few parameters";
-    case 0x06:
-      return "too many parameters";
-    case 0x07:
-      return "invalid parameter";
-    case 0x08:
-      return "invalid register";
-    case 0x09:
-      return "access not authorised";
-    case 0x0A:
-      return "watchdog reset";
-    case 0x0B:
-      return "output buffer overflow";
-    case 0x0C:
-      return "the baud rate is insufficient for this output";
-    case 0xFF:
-      return "error buffer overflow";
-    default:
-      return "no meaning known";
-  }
+constexpr auto kErrors = names<unsigned>({{0x01, "hard fault"},
+                                          {0x02, "serial buffer overflow"},
+                                          {0x03, "wrong checksum"},
+                                          {0x04, "invalid command"},
+                                          {0x05, "too few parameters"},
+                                          {0x06, "too many parameters"},
+                                          {0x07, "invalid parameter"},
+                                          {0x08, "invalid register"},
+                                          {0x09, "access not authorised"},
+                                          {0x0A, "watchdog reset"},
+                                          {0x0B, "output buffer overflow"},
+                                          {0x0C, "the baud rate is insufficient for this output"},
+                                          {0xFF, "error buffer overflow"}});
+
+std::string_view error_in_words(unsigned code) {
+  return kErrors.of(code, "no meaning known");
 }
 
 }  // namespace abcal::vectornav

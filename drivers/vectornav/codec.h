@@ -14,7 +14,7 @@
 /// and back. Pure: no port, no clock, no logging.
 ///
 /// Text messages are '$', text, '*', checksum, CR LF; binary ones are FA, a byte of groups, a 16-bit field
-/// mask for each group, the fields (little-endian), and a CRC. Both come mixed on one line.
+/// mask for each group, the fields (little-endian), and a CRC. Both are mixed on one line.
 namespace abcal::vectornav {
 
 /// The two checksums of text messages. A device answers with the kind with which it was asked.
@@ -69,7 +69,7 @@ std::size_t wire_size(const Message& message);
 class MessageParser {
  public:
   /// `only_header`: binary messages with another header than this (see binary_header()) are no messages. With
-  /// it a damaged header is seen at once and cannot pass by another length. Empty: any.
+  /// it a damaged header is noticed at once and cannot be taken for one of another length. Empty: any.
   explicit MessageParser(std::string only_header = {}) : only_header_(std::move(only_header)) {}
 
   void feed(std::string_view bytes);
@@ -77,8 +77,8 @@ class MessageParser {
   /// The next message in the bytes fed so far; absent if it needs more bytes.
   std::optional<Message> next();
 
-  /// The next message that is whole *behind* a beginning that waits for more bytes, for when the line has
-  /// fallen silent: a false beginning may claim bytes that never come.
+  /// The next whole message *after* an incomplete one, for a line that has become silent: a false beginning
+  /// may claim bytes that never arrive.
   std::optional<Message> next_behind_partial();
 
   /// True if bytes are held back that may begin a message.
@@ -110,7 +110,7 @@ class MessageParser {
 /// The words of a text, which commas separate.
 std::vector<std::string_view> split_words(std::string_view text);
 
-/// The data of one field of a binary message, or nothing if it has none such.
+/// The data of one field of a binary message, or nullopt if it does not have this field.
 std::optional<std::string_view> field(const BinaryMessage& message, Group group, std::uint8_t bit);
 
 /// Acceleration, temperature and time of a message.
@@ -125,10 +125,10 @@ struct Measurement {
 /// Decodes VNACC, VNIMU, VNYMR, VNMAR or VNQMR, with or without a count (,T...) and a status (,S...) behind.
 /// Absent if it is another message, or has not exactly the required number of values.
 std::optional<Measurement> decode_text_measurement(std::string_view text);
-/// Nothing if the message holds no acceleration (common field 8 or IMU field 9).
+/// Nullopt if the message holds no acceleration (common field 8 or IMU field 9).
 std::optional<Measurement> decode_binary_measurement(const BinaryMessage& message);
 
 /// The meaning of the code of "VNERR": "invalid register" for 8, and so on.
-std::string error_in_words(unsigned code);
+std::string_view error_in_words(unsigned code);
 
 }  // namespace abcal::vectornav

@@ -37,7 +37,7 @@ constexpr int kF4Outputs = 8;
 
 /// Set points that the controller stores as equal.
 constexpr double kSame = 0.05;
-/// Outside: the words of a number came in another order.
+/// Larger values mean swapped register words.
 constexpr double kPlausibleDegc = 1000.0;
 
 }  // namespace

@@ -16,7 +16,7 @@ namespace abcal::watlow_f4 {
 
 /// A chamber with a Watlow F4 or F4T controller, over Modbus RTU or TCP (docs/drivers/watlow_f4.md).
 ///
-/// The unit of the controller must be degC: an F4T comes with degF. It is read before every set point.
+/// The unit of the controller must be degC: an F4T is delivered with degF. It is read before every set point.
 /// Written values are read back. An F4 has no ramp of its own for a set point, and each set point wears its
 /// memory, so a value that is already there is not written.
 class WatlowChamber final : public ThermalChamber {

@@ -3,6 +3,8 @@
 #include <bit>
 #include <cmath>
 
+#include "drivers/text/names.h"
+
 namespace abcal::watlow_f4 {
 namespace {
 
@@ -151,19 +153,13 @@ std::optional<Reply> parse_reply(Framing framing, std::string_view frame) {
   return reply;
 }
 
+constexpr auto kExceptions = names<int>({{1, "it does not know the command"},
+                                         {2, "it has no such register, or it cannot be written"},
+                                         {3, "the value is outside its range"},
+                                         {4, "the device failed, or the part is absent"}});
+
 std::string_view exception_text(int code) {
-  switch (code) {
-    case 1:
-      return "it does not know the command";
-    case 2:
-      return "it has no such register, or it cannot be written";
-    case 3:
-      return "the value is outside its range";
-    case 4:
-      return "the device failed, or the part is absent";
-    default:
-      return "an exception that is not described";
-  }
+  return kExceptions.of(code, "an exception that is not described");
 }
 
 float float_of(std::uint16_t low, std::uint16_t high) {

@@ -40,7 +40,7 @@ struct Reply {
   std::string data;                      ///< For any other function: the bytes after the function code.
 };
 
-/// A whole frame. Nothing if it is none.
+/// A whole frame. Nullopt if it is malformed.
 std::optional<Reply> parse_reply(Framing framing, std::string_view frame);
 
 /// Meaning of an exception code in words.
@@ -54,10 +54,10 @@ std::vector<std::uint16_t> registers_of(float value);
 /// A signed number with this number of decimals; absent for values that stand for "no value" (-32000 and
 /// below).
 std::optional<double> decimal_of(std::uint16_t raw, int decimals);
-/// @return nothing if it does not fit
+/// @return nullopt if it does not fit
 std::optional<std::uint16_t> raw_of(double value, int decimals);
 
-/// One character a register, up to the first that is none.
+/// One character per register, up to the first that does not hold one.
 std::string text_of(const std::vector<std::uint16_t>& registers);
 
 }  // namespace abcal::watlow_f4

@@ -68,7 +68,7 @@ std::string Ascii2::describe() {
   stream.write(plain_command(settings_.address, '?'));
   std::string text;
   Clock::Instant until = clock_.now() + exchange_.manner().patience;
-  const Clock::Instant last = until + kLongestDescription;  // It may never cease to come.
+  const Clock::Instant last = until + kLongestDescription;  // It may never end.
   while (text.size() < kMostDescription && clock_.now() < last) {
     const wire::ReceivedBytes received = stream.read_until(until);
     if (received.bytes.empty()) break;
@@ -158,7 +158,7 @@ ChamberReading Ascii2::read() {
 }
 
 /// One command sets everything, so it repeats the present values of all other settings; but the chamber must
-/// run and not pause. The set point for kHold is not known yet: a chamber that pauses goes on pausing.
+/// run and not pause. The set point for kHold is not known yet: a paused chamber stays paused.
 std::optional<HaltRecipe> Ascii2::rest_recipe(ChamberPolicy policy) {
   if (policy == ChamberPolicy::kHold) return std::nullopt;
   const Ascii2State now = state();

@@ -31,7 +31,8 @@ Dialect& WeissChamber::dialect() {
   throw InstrumentError(exchange_.manner().who, Fault::kNotReady, "asked before it was identified");
 }
 
-/// A question whose answer looks like no other one: the type of the chamber, or the whole of its state.
+/// A question whose answer cannot be taken for another one: the type of the chamber, or the whole of its
+/// state.
 void WeissChamber::choose(bool simserv) {
   if (simserv) {
     exchange_.manner().sync_request = simserv_request(99997, {"1"});

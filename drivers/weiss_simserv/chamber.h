@@ -12,7 +12,7 @@
 
 namespace abcal::weiss_simserv {
 
-/// A Weiss or Voetsch chamber: S!MPAC simserv, or ASCII-2 where it does not answer that
+/// A Weiss or Voetsch chamber: S!MPAC simserv, or ASCII-2 if it does not answer that
 /// (docs/drivers/weiss_simserv.md). The external mode must be enabled at its panel.
 class WeissChamber final : public ThermalChamber {
  public:

@@ -6,6 +6,8 @@
 #include <charconv>
 #include <cmath>
 
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 
 namespace abcal::weiss_simserv {
@@ -19,13 +21,6 @@ bool is_name(std::string_view word) {
 bool is_channel(std::string_view word) {
   return word.size() == 4 && word.starts_with("DO") && word[2] >= '0' && word[2] <= '9' && word[3] >= '0' &&
          word[3] <= '9';
-}
-
-std::string lower(std::string_view text) {
-  std::string out(text);
-  for (char& c : out)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  return out;
 }
 
 std::optional<double> number_after(std::string_view line, std::string_view word) {
@@ -78,43 +73,33 @@ std::string simserv_request(int number, const std::vector<std::string>& argument
 
 std::optional<SimservReply> parse_simserv(std::string_view line) {
   const std::vector<std::string_view> parts = pieces::split(line, kSeparator);
-  SimservReply reply;
-  const std::string_view code = parts.at(0);
-  const auto [end, error] = std::from_chars(code.data(), code.data() + code.size(), reply.code);
-  if (code.empty() || error != std::errc() || end != code.data() + code.size()) return std::nullopt;
-  if (reply.code != 1 && reply.code >= 0) return std::nullopt;
+  const auto code = pieces::number<int>(parts.at(0));
+  if (!code || (*code != 1 && *code >= 0)) return std::nullopt;
+  SimservReply reply{*code, {}};
   for (std::size_t n = 1; n < parts.size(); ++n) reply.values.emplace_back(parts[n]);
   return reply;
 }
 
+constexpr auto kRefusals = names<int>({{-5, "it does not know the command"},
+                                       {-6, "too few or wrong parameters"},
+                                       {-8, "the data could not be read"}});
+
 std::string_view refusal_text(int code) {
-  switch (code) {
-    case -5:
-      return "it does not know the command";
-    case -6:
-      return "too few or wrong parameters";
-    case -8:
-      return "the data could not be read";
-    default:
-      return "a code that is not described";
-  }
+  return kRefusals.of(code, "a code that is not described");
 }
 
 std::optional<double> parse_number(std::string_view text) {
   text = pieces::trimmed(text);
   double sign = 1.0;
-  // Zeros may stand before the sign: "0-40.0".
+  // Zeros may precede the sign: "0-40.0".
   while (text.size() > 1 && text[0] == '0' && text[1] != '.') text.remove_prefix(1);
   if (text.starts_with('-') || text.starts_with('+')) {
     if (text[0] == '-') sign = -1.0;
     text.remove_prefix(1);
   }
   if (text.empty() || text[0] == '-' || text[0] == '+') return std::nullopt;
-  double value = 0.0;
-  const auto [end, error] =
-      std::from_chars(text.data(), text.data() + text.size(), value, std::chars_format::fixed);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) return std::nullopt;
-  return sign * value;
+  const auto value = pieces::number<double>(text, std::chars_format::fixed);
+  return value && std::isfinite(*value) ? std::optional(sign * *value) : std::nullopt;
 }
 
 std::optional<Ascii2Layout> parse_layout(std::string_view text) {
@@ -136,7 +121,7 @@ std::optional<Ascii2Layout> parse_layout(std::string_view text) {
       if (tells) layout.channels = channels;
       continue;
     }
-    note_description(lower(line), layout);
+    note_description(pieces::lower(line), layout);
   }
   if (layout.set_order.empty() || layout.state_order.empty()) return std::nullopt;
   return layout;

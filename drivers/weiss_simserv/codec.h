@@ -17,7 +17,7 @@ namespace abcal::weiss_simserv {
 inline constexpr char kSeparator = '\xB6';
 inline constexpr std::size_t kLongestLine = 4096;
 
-/// One line, up to its CR; an LF before it is no part of it.
+/// One line, up to its CR; an LF before it is not part of it.
 wire::FrameVerdict check_line(std::string_view bytes);
 /// The line without its terminator.
 std::string_view line_text(std::string_view frame);

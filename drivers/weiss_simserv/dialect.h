@@ -27,7 +27,7 @@ class Dialect {
 inline HaltRecipe rest_recipe_of_lines(Clock::Duration patience, ChamberPolicy policy) {
   return {.driver = "weiss_simserv",
           .axes = {},
-          .end_partial = "?\r",  // Half a line and this is no number: refused.
+          .end_partial = "?\r",  // Half a line with this is not a number, and is refused.
           .stop = {},
           .questions = {},
           .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(patience),

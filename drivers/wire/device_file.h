@@ -24,7 +24,7 @@ class Descriptor {
 
 [[noreturn]] void cannot_open(const std::string& path, const std::string& why);
 
-/// @throws PortHeld that says who holds it, as far as can be seen.
+/// @throws PortHeld that names the holder, if it is visible.
 [[noreturn]] void held_by_another(const std::string& path);
 
 /// The kind of device that a file must be, with texts for messages.

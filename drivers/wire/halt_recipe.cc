@@ -17,17 +17,17 @@ namespace abcal::wire {
 namespace {
 
 constexpr std::chrono::milliseconds kBetweenStops{20};
-/// A port whose input never pauses is read for so long at most when its input is discarded.
+/// Longest time for which the input of a port that never pauses is read when it is discarded.
 constexpr std::chrono::milliseconds kLongestDiscard{100};
 
 /// Splits the received bytes into replies: lines, pieces with the recipe's own terminator, or, for a binary
-/// protocol, the newest bytes. Keeps no more than the longest reply and its terminator, whatever arrives.
+/// protocol, the newest bytes. Never keeps more than the longest reply and its terminator.
 class ReplyInput {
  public:
   ReplyInput(const HaltRecipe& recipe, ByteStream& port, Clock& clock)
       : recipe_(recipe), port_(port), clock_(clock) {}
 
-  /// The next reply that is neither empty nor too long; nothing at the deadline. The port is read only once
+  /// The next reply that is neither empty nor too long; nullopt at the deadline. The port is read only once
   /// after the deadline, so that a stream that never pauses ends, too.
   std::optional<std::string> next(Clock::Instant deadline) {
     for (;;) {
@@ -83,7 +83,7 @@ bool fits(const HaltRecipe& recipe, const std::string& reply, const ReplyPattern
   return recipe.binary ? occurs_in(pattern, reply) : matches(pattern, reply);
 }
 
-/// Whether all that answers the question says that the axes stand still.
+/// Whether all answers to the question report standstill of the axes.
 bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, ByteStream& port, Clock& clock,
                Clock::Instant deadline) {
   ReplyInput replies(recipe, port, clock);
@@ -105,7 +105,7 @@ bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, B
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept {
   try {
     port.write(recipe.end_partial + recipe.stop);
-  } catch (...) {  // Tried again below, as far as there is time.
+  } catch (...) {  // Tried again below if there is time.
   }
   while (clock.now() < deadline) {
     try {

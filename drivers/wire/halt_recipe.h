@@ -10,8 +10,8 @@
 namespace abcal::wire {
 
 /// Halts the axes on a port without their driver: ends a half-written command, sends the stop, asks whether
-/// the axes stand still, and repeats this until they do. A chamber is stopped likewise; its commands are
-/// among the questions. Nobody else may read from `port` meanwhile. Never throws.
+/// the axes are at rest, and repeats this until they are. A chamber is stopped likewise; its commands are
+/// among the questions. No one else may read from `port` meanwhile. Never throws.
 /// @return false: not acknowledged by `deadline`; the axes may be moving, the chamber may be heating.
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
 

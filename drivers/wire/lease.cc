@@ -24,7 +24,7 @@
 namespace abcal::wire {
 namespace {
 
-/// A folder that every user of this computer may write to; empty: there is none.
+/// A folder that every user of this computer may write to; empty if there is none.
 std::filesystem::path lease_folder() {
   for (const char* parent : {"/run/lock", "/tmp"}) {
     const std::filesystem::path folder = std::filesystem::path(parent) / "abcal";
@@ -105,7 +105,7 @@ std::string own_words(std::string_view holder) {
       user != nullptr ? user->pw_name : std::to_string(::geteuid()), since.data(), ::getpid(), program);
 }
 
-/// @param shown  what the resource is called where it is refused
+/// @param shown  name of the resource in a refusal
 std::shared_ptr<Lease> take_as(const std::string& resource, const std::string& shown,
                                std::string_view holder) {
   static std::mutex mutex;

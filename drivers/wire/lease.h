@@ -6,7 +6,7 @@
 
 namespace abcal::wire {
 
-/// The right of one program of this computer to an instrument, whoever uses it: a file that all users share,
+/// The right of one program of this computer, of any user, to an instrument: a file that all users share,
 /// locked as long as this object lives and released by the system when the program dies. The lock of a serial
 /// port names no holder of another user, and a network address has none: a second host program would end the
 /// exchanges of the first.
@@ -22,10 +22,10 @@ class Lease {
   static std::shared_ptr<Lease> take(const std::string& resource, std::string_view holder);
 
   /// As take(), for the device behind a path, which may be a link to it.
-  /// @return null: the path leads to nothing; opening it tells why
+  /// @return null if the path does not exist; opening it reports why
   static std::shared_ptr<Lease> take_device(const std::string& path, std::string_view holder);
 
-  /// The resource that is an instrument itself, whatever port leads to it, in words.
+  /// The resource that is an instrument itself, on any port, in words.
   /// @param serial_number  as the instrument reports it; not empty
   static std::string of_instrument(std::string_view maker, std::string_view model,
                                    std::string_view serial_number);

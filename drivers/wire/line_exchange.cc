@@ -20,7 +20,7 @@ std::optional<std::string> LineExchange::exchange(std::string_view request, Cloc
   const Clock::Instant deadline = line_.deadline_after(patience);
   for (;;) {
     std::optional<std::string> frame = take(deadline);
-    // Late answer to an earlier resynchronise() that gave up too soon.
+    // A late answer to an earlier resynchronise() that gave up too soon.
     if (frame && !identity_.empty() && manner_.normal(*frame) == identity_) continue;
     return frame;
   }
@@ -37,7 +37,7 @@ std::optional<std::string> LineExchange::resynchronise(std::string_view unanswer
     const std::string normal = manner_.normal(*frame);
     if (normal.ends_with(identity_)) {
       in_step_ = true;
-      const bool alone = normal.size() == identity_.size();  // Otherwise half a reply came before it.
+      const bool alone = normal.size() == identity_.size();  // Otherwise half a reply preceded it.
       if (alone && before.size() == 1) return before.front();
       return std::nullopt;
     }

@@ -70,7 +70,7 @@ class LineExchange {
   void identify(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
                 std::string_view if_foreign, std::size_t most_bytes);
 
-  /// Like identify(), until the same answer has come twice in a row: where replies have no checksum, a
+  /// Like identify(), until the same answer has arrived twice in a row: without a checksum on replies, a
   /// damaged identity would never match again. @throws InstrumentError also kBadFrame.
   void identify_twice(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
                       std::string_view if_foreign, std::size_t most_bytes);
@@ -78,7 +78,7 @@ class LineExchange {
   /// Discards received bytes, sends the request, and waits for one reply; absent at the deadline.
   std::optional<std::string> exchange(std::string_view request, Clock::Duration patience);
 
-  /// Asks at most twice. `parse` returns the value of a reply, or nothing if the reply is no answer.
+  /// Asks at most twice. `parse` returns the value of a reply, or nullopt if the reply is not an answer.
   /// @throws InstrumentError kNoReply: the controller is silent altogether; kBadFrame: both were garbled.
   template <class Parse>
   auto ask(const std::string& request, std::string_view shown, Parse parse, Clock::Duration patience) {
@@ -96,8 +96,8 @@ class LineExchange {
         if (attempt == 2) throw no_answer(*reply, shown);
         continue;
       }
-      // It is there, but said nothing to this query: then it has put the reason among its errors, unless that
-      // was there before (an unacknowledged halt leaves one).
+      // The controller is present but did not reply to this query: then the reason is among its errors,
+      // unless that error was there before (an unacknowledged halt leaves one).
       const bool was_there = error_may_wait_;
       if (const int code = errors_.read(shown); code != 0 && !was_there)
         return LineAnswer<T>{std::nullopt, code};
@@ -122,10 +122,10 @@ class LineExchange {
   /// controller already holds is read first.
   int execute(std::string_view command, std::string_view shown);
 
-  /// Asks the error query once. Never twice: the code would be gone.
+  /// Asks the error query once. A second query would lose the code.
   int ask_error(std::string_view after);
 
-  /// Whether no reply is outstanding: an outstanding one may never come.
+  /// Whether no reply is outstanding: an outstanding one may never arrive.
   bool in_step() const { return in_step_; }
 
   /// A request was sent whose reply is not awaited: the next query begins with the identity.
@@ -147,7 +147,7 @@ class LineExchange {
   const Manner manner_;
   const Errors errors_;
   std::string identity_;  ///< Normal.
-  bool in_step_ = true;   ///< False: a reply may still come to a query that is given up.
+  bool in_step_ = true;   ///< False: a reply to an abandoned query may still arrive.
   bool error_may_wait_ = true;
 };
 
@@ -172,9 +172,9 @@ class LineController {
 
   /// Called when a halt begins: the known state of the motion is no longer valid.
   virtual void forget_motion() = 0;
-  /// Which axes stand still, according to their controllers; an axis that is not on the line counts as
-  /// standing. An axis that has already stopped in this halt (`so_far`) has not been commanded since, and
-  /// need not be asked again.
+  /// The axes at rest, according to their controllers; an axis that is not on the line counts as at rest. An
+  /// axis that has already stopped in this halt (`so_far`) has not been commanded since, and need not be
+  /// asked again.
   virtual HaltReport stopped_axes(const HaltReport& so_far) = 0;
   virtual Clock::Duration reply_deadline() const = 0;
   /// Recipes with which another process halts the axes, from the present knowledge: one for each controller
@@ -213,7 +213,7 @@ class LineController {
   }
 
  private:
-  HaltableLine line_;  ///< Its lock guards all that the driver keeps.
+  HaltableLine line_;  ///< Its lock guards the whole state of the driver.
 };
 
 /// A stage made of its controller. One owner thread; halt() from any.

@@ -46,7 +46,7 @@ class PacketAccelerometer : public Accelerometer {
     try {
       make_quiet();
     } catch (...) {
-      // On the way out: the interface says that failure is not reported.
+      // On the way out: by the interface, failure is not reported.
     }
     readings_.end();
   }

@@ -28,10 +28,10 @@ struct PacketAnswer {
 /// stream. One thread.
 ///
 /// An answer is recognised by a mark that the command defines (an echo, a descriptor, a register). An error
-/// counts only if its command is the only one outstanding: an error of a command that was given up may come
-/// late, and most instruments do not say which command they refuse. If one is outstanding, the barrier is
-/// sent, a question that is used for nothing else: an instrument answers in order, so behind the barrier's
-/// answer nothing is outstanding.
+/// counts only if its command is the only one outstanding: an error of an abandoned command may arrive late,
+/// and most instruments do not report which command they refuse. If one is outstanding, the barrier is sent,
+/// a question that is used for nothing else: an instrument answers in order, so after the barrier's answer
+/// nothing is outstanding.
 template <class Parser>
 class PacketExchange {
  public:
@@ -75,7 +75,7 @@ class PacketExchange {
     fresh_ = true;
   }
 
-  /// Sends a command, again if no answer comes, and returns its answer or refusal.
+  /// Sends a command, again if no answer arrives, and returns its answer or refusal.
   /// @throws InstrumentError kNoReply, kBadFrame, kWrongIdentity, each quoting what was received instead.
   PacketAnswer ask(const Command& command) {
     // An instrument that streams may need more than a second try: the line is full, an answer may get
@@ -90,7 +90,7 @@ class PacketExchange {
     for (int tries = 1; !answer; ++tries) {
       if (tries >= (evidence.packets > 0 ? kTriesWhileStreaming : kTries))
         fail_without_answer(command, evidence, clock_.now() - begin);
-      // An error came that may be of an earlier command: the next try shows whose it was.
+      // An error arrived that may belong to an earlier command: the next attempt shows to which.
       if (evidence.has_stray_error && !std::exchange(settled, true)) settle();
       evidence = Evidence();
       answer = try_once(command, true, evidence);
@@ -104,10 +104,10 @@ class PacketExchange {
  private:
   /// After this time without a byte, an answer is searched for behind a false beginning.
   static constexpr std::chrono::milliseconds kSilence{50};
-  /// Additional wait for an answer once an error has come that may belong to an earlier command.
+  /// Additional wait for an answer after an error that may belong to an earlier command.
   static constexpr std::chrono::milliseconds kAfterStrayError{500};
 
-  /// Bytes received while an answer was awaited; for the message if none came.
+  /// Bytes received while an answer was awaited; for the message if none arrived.
   struct Evidence {
     std::size_t bytes = 0;
     std::string first_bytes;
@@ -165,8 +165,8 @@ class PacketExchange {
       evidence.bytes += received.bytes.size();
       evidence.first_bytes +=
           received.bytes.substr(0, kShownBytes - std::min(kShownBytes, evidence.first_bytes.size()));
-      if (clock_.now() >= deadline) {  // Data may never cease to come: these bytes are parsed, and no more
-                                       // are read.
+      if (clock_.now() >= deadline) {  // The stream may never pause: these bytes are parsed, and no more are
+                                       // read.
         while (!answer && look_at(packets_.parser().next())) continue;
         break;
       }
@@ -202,7 +202,7 @@ class PacketExchange {
   Clock& clock_;
   std::string instrument_;
   Manner manner_;
-  bool outstanding_ = false;  ///< A command went unanswered: its answer may still come.
+  bool outstanding_ = false;  ///< A command was not answered: its answer may still arrive.
   bool fresh_ = true;  ///< Nothing was answered since restart(): an error may be of an earlier command.
 };
 

@@ -94,7 +94,7 @@ void PortLink::write(std::string_view bytes) {
                               "took " + std::to_string(written) + " of " + std::to_string(bytes.size()) +
                                   " bytes within 2 s; is flow control (RTS/CTS) set as in the instrument?");
       pollfd room{.fd = descriptor_, .events = POLLOUT, .revents = 0};
-      ::poll(&room, 1, static_cast<int>(left.count()));  // Any outcome: the next write tells it.
+      ::poll(&room, 1, static_cast<int>(left.count()));  // Any outcome: the next write reports it.
     } else if (error != EINTR) {
       queue_.close(lost_because(error));
       queue_.throw_if_closed();

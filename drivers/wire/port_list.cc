@@ -9,13 +9,13 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <filesystem>
 #include <fstream>
 #include <memory>
 #include <stdexcept>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 
 namespace abcal::wire {
 namespace {
@@ -64,18 +64,10 @@ std::string describe(const std::vector<PortInfo>& ports) {
       port, why));
 }
 
-template <class Integer>
-std::optional<Integer> whole_number(std::string_view text, int base) {
-  Integer value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
-
 std::uint16_t usb_number(std::string_view port, std::string_view text) {
   std::string_view digits = text;
   if (digits.starts_with("0x") || digits.starts_with("0X")) digits.remove_prefix(2);
-  const auto value = whole_number<std::uint16_t>(digits, 16);
+  const auto value = pieces::number<std::uint16_t>(digits, 16);
   if (!value) malformed(port, fmt::format("\"{}\" is not a USB vendor or product number", text));
   return *value;
 }
@@ -107,7 +99,7 @@ PortName parse_tcp(std::string_view port) {
   if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
   if (host.empty()) malformed(port, "the host is missing");
   name.host = host;
-  const auto number = whole_number<std::uint16_t>(rest.substr(colon + 1), 10);
+  const auto number = pieces::number<std::uint16_t>(rest.substr(colon + 1), 10);
   if (!number || *number == 0) {
     malformed(port, fmt::format("\"{}\" is not a port number of 1 to 65535", rest.substr(colon + 1)));
   }

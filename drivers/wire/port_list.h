@@ -32,7 +32,7 @@ struct PortHolder {
   std::string program;  ///< Empty: unknown.
 };
 
-/// The programs that have the file behind `path` open, as far as they can be seen, this one left out.
+/// The other programs that have the file at `path` open, as far as they are visible.
 std::vector<PortHolder> find_holders(const std::string& path);
 
 /// find_holders() in words: "pid 123 (screen)", several joined by ", "; empty: none.
@@ -57,7 +57,7 @@ struct PortName {
 /// Parses "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal), "tcp:HOST:PORT" ("tcp:[::1]:50000" for
 /// IPv6) or "usbtmc:/path"; a path that begins with /dev/usbtmc counts as the last form. Neither opens a port
 /// nor searches for one.
-/// @throws std::invalid_argument saying what was found and what is required.
+/// @throws std::invalid_argument that states what was found and what is required.
 PortName parse_port(std::string_view port);
 
 /// The path of a "usb:..." port; any other name is returned unchanged.

@@ -35,7 +35,7 @@ PortPoller::~PortPoller() {
   ::close(wake_);
 }
 
-/// The thread is woken to look at the ports anew.
+/// Wakes the thread, so that it polls the changed ports.
 void PortPoller::change(const std::unique_lock<std::mutex>& /*lock*/) {
   ++version_;
   const std::uint64_t one = 1;
@@ -81,7 +81,7 @@ void PortPoller::run() {
         std::uint64_t count = 0;
         [[maybe_unused]] const ssize_t drained = ::read(wake_, &count, sizeof count);
       }
-      if (seen_ != version_) continue;  // A port that is ready may be gone.
+      if (seen_ != version_) continue;  // A port that is ready may have been removed.
       for (std::size_t i = 0; i < ports.size(); ++i)
         if (polled[i + 1].revents != 0 && !ports[i]->fetch()) polled[i + 1].fd = -1;
     }

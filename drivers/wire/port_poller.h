@@ -26,8 +26,8 @@ class PolledPort {
 /// readings. Used inside this folder only.
 class PortPoller {
  public:
-  /// Least time between two wake-ups while ports stream. No multiple or part of usual sampling periods, so
-  /// that among many readings some are fetched at once after they came.
+  /// Least time between two wake-ups while ports stream. It is not a multiple or part of usual sampling
+  /// periods, so that some of many readings are fetched right after their arrival.
   static constexpr std::chrono::microseconds kInterval{1310};
 
   /// The poller that all ports of this program share; it ends with the last of them.

@@ -38,7 +38,7 @@ class QueryExchange {
   ByteStream& stream() { return *stream_; }
   Manner& manner() { return manner_; }
 
-  /// Asks at most twice. `parse` returns the value of a frame, or nothing if the frame is no answer.
+  /// Asks at most twice. `parse` returns the value of a frame, or nullopt if the frame is not an answer.
   /// @throws InstrumentError kNoReply, kBadFrame
   template <class Parse>
   auto ask(std::string_view request, std::string_view shown, Parse parse) {

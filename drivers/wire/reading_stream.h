@@ -29,14 +29,14 @@ struct DecodedFrame {
 /// Turns the bytes of a streaming accelerometer into readings for next(). One thread.
 ///
 /// Where the instrument neither counts nor times its readings, a loss is recognised only by the bytes that
-/// came in its place: every stretch of unusable bytes as long as a reading counts as one, and a bad frame as
-/// at least one. A reading that is lost without leaving a byte cannot be counted. Times of arrival are not
+/// arrived in its place: every stretch of unusable bytes as long as a reading counts as one, and a bad frame
+/// as at least one. A reading that is lost without leaving a byte cannot be counted. Times of arrival are not
 /// used, because a late reading would count as a loss.
 ///
-/// `Parser` finds frames in bytes that are split anyhow: feed(bytes); next(), the next frame or nothing;
+/// `Parser` finds frames in arbitrarily split bytes: feed(bytes); next(), the next frame or nullopt;
 /// has_partial(); bad_frames() and skipped_bytes(), which only grow. Optional: lose_track(), bytes are
-/// missing here; next_behind_partial(), a frame behind a beginning whose end does not come. The size of a
-/// frame on the wire is its member `size`, or wire_size(frame).
+/// missing here; next_behind_partial(), a frame after an incomplete one. The size of a frame on the wire is
+/// its member `size`, or wire_size(frame).
 template <class Parser>
 class ReadingStream {
  public:
@@ -82,8 +82,8 @@ class ReadingStream {
     return received;
   }
 
-  /// Reads once and decodes; each frame has the time of arrival of its last bytes. False: nothing has come by
-  /// the deadline.
+  /// Reads once and decodes; each frame has the time of arrival of its last bytes. False if nothing arrived
+  /// by the deadline.
   bool receive(Clock::Instant deadline) {
     bool gap = false;
     const ReceivedBytes received = read(deadline, gap);
@@ -98,7 +98,7 @@ class ReadingStream {
 
   /// See Accelerometer::next().
   std::optional<Reading> next(Clock::Instant deadline) {
-    take_waiting();  // Frames that came together with the last answer.
+    take_waiting();  // Frames that arrived together with the last answer.
     while (readings_.empty() && receive_until(deadline)) continue;
     if (readings_.empty()) take_behind_partial();
     return readings_.pop();
@@ -112,12 +112,12 @@ class ReadingStream {
     readings_.end_discard(parser_.has_partial(), std::exchange(dropped_at_discard_, dropped_) != dropped_);
   }
 
-  /// Readings per second, from the arrivals of those that come within `span` of the first and of two at
-  /// least; nothing if there were not as many by the deadline.
+  /// Readings per second, from the arrivals of those within `span` after the first, at least two; nullopt if
+  /// there were fewer by the deadline.
   std::optional<double> measure_rate_hz(Clock::Duration span, Clock::Instant deadline) {
     std::optional<Clock::Instant> first;
     Clock::Instant last;
-    unsigned later = 0;  // Without those that came together with the first: they may have waited.
+    unsigned later = 0;  // Without those that arrived together with the first: they may have waited.
     while (later < 2 || last - *first < span || !readings_.empty()) {
       const auto reading = next(deadline);
       if (!reading) return std::nullopt;
@@ -178,8 +178,8 @@ class ReadingStream {
     return received;
   }
 
-  /// Like receive(). Also false if the last bytes came after the deadline, since they may never cease to
-  /// come.
+  /// Like receive(). Also false if the last bytes arrived after the deadline, since the stream may never
+  /// pause.
   bool receive_until(Clock::Instant deadline) { return receive(deadline) && last_arrival_ <= deadline; }
 
   void lose_track() {

@@ -31,7 +31,8 @@ class ReceiveQueue {
     changed_.notify_all();
   }
 
-  /// The port is gone: waiting bytes can still be popped, then every call throws kLinkLost with `reason`.
+  /// The port has vanished: waiting bytes can still be popped, then every call throws kLinkLost with
+  /// `reason`.
   void close(std::string reason) {
     {
       const std::lock_guard lock(mutex_);

@@ -10,8 +10,7 @@ RecordingStream::RecordingStream(std::unique_ptr<ByteStream> inner, const Clock&
 }
 
 void RecordingStream::write(std::string_view bytes) {
-  // Before the write: a command that kills the link is still on file, and no answer stands before its
-  // question.
+  // Before the write: a command that ends the link is still recorded, and no answer precedes its question.
   note(WireEvent::Kind::kWritten, std::string(bytes));
   try {
     inner_->write(bytes);

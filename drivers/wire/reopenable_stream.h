@@ -19,7 +19,8 @@ class ReopenableStream final : public ByteStream {
   /// Opens at once.
   explicit ReopenableStream(Open open);
 
-  /// Opens the port again if it is gone; bytes that it had received are lost. Any thread may write meanwhile.
+  /// Opens the port again if it has vanished; bytes that it had received are lost. Any thread may write
+  /// meanwhile.
   /// @throws InstrumentError kCannotOpen: not back yet, or held by another program.
   void reopen();
 
@@ -37,9 +38,9 @@ class ReopenableStream final : public ByteStream {
   Open open_;
   std::string name_;
   mutable std::mutex mutex_;
-  std::shared_ptr<ByteStream> port_;  ///< Null: gone.
+  std::shared_ptr<ByteStream> port_;  ///< Null if it has vanished.
   std::string lost_because_;
-  std::size_t dropped_before_ = 0;  ///< Bytes dropped by ports that are gone.
+  std::size_t dropped_before_ = 0;  ///< Bytes dropped by earlier ports.
 };
 
 }  // namespace abcal::wire

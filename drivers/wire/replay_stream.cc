@@ -71,7 +71,7 @@ void ReplayStream::write(std::string_view bytes) {
   if (event->bytes != bytes) leave(bytes, *event);
   clock_.sleep_until(event->time);
   ++cursor_;
-  // next() is not used here: a failed write stands directly behind the bytes of the write.
+  // next() is not used here: a failed write directly follows the bytes of the write.
   if (cursor_ < events_.size() && events_[cursor_].kind == Kind::kFailed &&
       parse_failure(events_[cursor_].bytes).call == WireCall::kWrite) {
     fail_as_recorded();

@@ -15,7 +15,7 @@ namespace abcal::wire {
 /// times. The clock jumps to the time of each event; it is never moved back.
 ///
 /// Writes must equal the recorded ones. A read returns the result of the read at this place of the recording,
-/// whatever its present deadline; if the recording continues with a write, it returns nothing at its
+/// regardless of its present deadline; if the recording continues with a write, it returns nothing at its
 /// deadline, like an instrument that was not asked. A changed driver can thus be tried on an old recording,
 /// as long as it sends the same bytes in the same order.
 ///

@@ -9,8 +9,8 @@
 
 namespace abcal::wire {
 
-/// One end of a pair of connected stream sockets, behind which another process passes the bytes of a port on.
-/// Threads and limits as those of SerialPort.
+/// One end of a pair of connected stream sockets, at whose other end another process forwards the bytes of a
+/// port. Threads and limits as those of SerialPort.
 class SocketStream final : public ByteStream {
  public:
   /// Takes the descriptor over. @param name  of the port, for messages

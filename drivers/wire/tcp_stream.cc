@@ -76,7 +76,7 @@ struct TcpStream::Impl {
   }
 
   std::vector<std::shared_ptr<Lease>> leases;  ///< One for each address of the host; before the socket.
-  boost::asio::io_context io;                  ///< Runs until the connection is there.
+  boost::asio::io_context io;                  ///< Runs until the connection is established.
   tcp::socket socket;
   PortLink link;
 };

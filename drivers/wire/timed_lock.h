@@ -8,8 +8,8 @@
 namespace abcal::wire {
 
 /// A mutex that can be waited for until a deadline: held by a driver from a query to its reply, while halt()
-/// must not wait for ever. (std::timed_mutex could too, but the thread sanitizer of GCC 12 does not see its
-/// lock and reports every use.)
+/// must not wait without limit. (std::timed_mutex could too, but the thread sanitizer of GCC 12 does not see
+/// its lock and reports every use.)
 class TimedLock {
  public:
   void lock() {

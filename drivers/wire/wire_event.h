@@ -12,16 +12,16 @@ namespace abcal::wire {
 /// are stored in run files.
 struct WireEvent {
   enum class Kind : char {
-    kOpened = 'o',     ///< The stream is there; bytes: its name.
+    kOpened = 'o',     ///< The stream is open; bytes: its name.
     kWritten = '>',    ///< write() was called with these bytes.
-    kReceived = '<',   ///< read_until() returned these bytes; empty: none came in time.
+    kReceived = '<',   ///< read_until() returned these bytes; empty: none arrived in time.
     kDiscarded = 'x',  ///< discard_input() discarded these bytes; not noted if there were none.
     kDropped = 'd',    ///< dropped_bytes() has a new value; bytes: its decimal digits.
     kFailed = '!',     ///< The call threw; bytes: failure_text().
   };
 
   Kind kind = Kind::kOpened;
-  Clock::Instant time;     ///< When a write was begun; when any other call came back.
+  Clock::Instant time;     ///< Beginning of a write; return of any other call.
   Clock::Instant arrival;  ///< Arrival of the last byte received, as the stream reported it.
   std::string bytes;
 

@@ -120,7 +120,7 @@ AccelerometerInfo WitMotionAccelerometer::interrogate() {
   const auto output = ask(witmotion::kOutputMask);  // And, behind it, rate and baud rate.
   // Silent to questions: it may stream slowly.
   while (readings_.received_bytes() == 0 && readings_.receive(began + kFirstFrameTime)) continue;
-  // One frame may be chance in a line that is full of something else.
+  // On a line with other data a single frame may be accidental.
   if (frames_ == 0 || 2 * frames_ * witmotion::kFrameBytes < readings_.received_bytes())
     fail_without_frames(clock_.now() - began);
 
@@ -155,7 +155,7 @@ std::optional<WitMotionAccelerometer::Registers> WitMotionAccelerometer::ask(wit
   for (int tries = 0; tries < kTries && !answer_; ++tries) {
     stream_->write(witmotion::read_registers(first));
     const Clock::Instant deadline = clock_.now() + kAnswerTime;
-    // Data may never cease to come.
+    // The stream may never pause.
     while (!answer_ && readings_.receive(deadline) && clock_.now() < deadline) continue;
     if (!answer_) answers_doubtful_ = true;
   }
@@ -230,8 +230,8 @@ void WitMotionAccelerometer::check_link() const {
                    std::floor(*link_bytes_per_s_ / static_cast<double>(witmotion::kFrameBytes))));
 }
 
-/// Sets output and rate, and looks whether it does so. Nothing that is written is answered: a command that
-/// was lost shows in the rate, and is sent again.
+/// Sets output and rate, and verifies both. Commands are not acknowledged: a lost one shows in the rate, and
+/// is sent again.
 void WitMotionAccelerometer::configure_output(std::uint16_t rate_code) {
   constexpr int kTries = 3;
   const Clock::Duration span = from_seconds(std::max(1.0, 2.0 / settings_.rate_hz));

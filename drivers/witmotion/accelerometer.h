@@ -18,8 +18,8 @@
 
 namespace abcal {
 
-/// A WitMotion sensor (WT61, WT901, HWT901 and their like), used for its accelerometers: output in g, sign as
-/// in witmotion::Acceleration.
+/// A WitMotion sensor (WT61, WT901, HWT901 and similar models), used for its accelerometers: output in g,
+/// sign as in witmotion::Acceleration.
 ///
 /// It streams from power on. Cheap models answer no question, so it is identified by its frames, and its
 /// settings are confirmed by its subsequent output. Changes the running configuration of the device, never
@@ -54,7 +54,7 @@ class WitMotionAccelerometer final : public Accelerometer, public CorrectionRegi
 
   /// Identifies, sets output and rate, and waits until it is seen to stream at that rate.
   /// @throws InstrumentError kRefused if there is no such rate or the link is too slow for it, kNoReply if no
-  /// readings come then, kImplausible if they come at another rate.
+  /// readings arrive then, kImplausible if they arrive at another rate.
   void start() override;
 
   /// @throws InstrumentError kNotReady if it was restarted and has lost its settings.

@@ -88,13 +88,12 @@ inline constexpr double kFormatFullScaleG = 16.0;  ///< Value of the largest wor
 inline constexpr double kStepG = kFormatFullScaleG / 32768.0;
 inline constexpr double kOffsetStepG = 1e-4;
 
-/// Nothing if it is another frame.
+/// Nullopt if it is another frame.
 std::optional<Acceleration> decode_acceleration(const Frame& frame);
 
-/// The code of an output rate in readings per second, nothing if there is none: 1, 2, 5, 10, 20, 50, 100,
-/// 200.
+/// The code of an output rate in readings per second, nullopt for others than: 1, 2, 5, 10, 20, 50, 100, 200.
 std::optional<std::uint16_t> rate_code(double rate_hz);
-/// The output rate that comes nearest.
+/// The nearest output rate.
 double nearest_rate_hz(double rate_hz);
 
 /// Baud rate from the content of register 04; absent if the code is not known.

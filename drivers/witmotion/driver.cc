@@ -5,7 +5,7 @@
 namespace abcal {
 namespace {
 
-/// A frame has one byte of sum: several of them are no accident. It streams, and is not asked.
+/// A frame has one byte of sum: several of them are not accidental. It streams without a question.
 bool streams_frames(std::string_view received) {
   constexpr int kEnough = 3;
   witmotion::FrameParser parser;

@@ -64,7 +64,7 @@ void XsensMtiAccelerometer::start() {
   interrogate();
   configure_output();
 
-  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are not part of the stream that begins now.
   readings_.listen(xbus::MessageParser());
   last_packet_counter_.reset();
   last_sample_time_.reset();
@@ -86,7 +86,7 @@ std::string XsensMtiAccelerometer::exchange(const Request& request) {
   return std::move(answer.data);
 }
 
-/// Sends a command, again if no answer comes, and returns its answer or refusal.
+/// Sends a command, again if no answer arrives, and returns its answer or refusal.
 wire::PacketAnswer XsensMtiAccelerometer::try_exchange(const Request& request) {
   return exchange_.ask(command_of(request.id, request.data, request.name));
 }
@@ -127,7 +127,7 @@ AccelerometerInfo XsensMtiAccelerometer::interrogate() {
       .serial_number = serial_number,
       .firmware = fmt::format("{}.{}.{}", part(0), part(1), part(2)),
       .output_unit = "m/s2",
-      .full_scale = settings_.full_scale,  // The device does not say.
+      .full_scale = settings_.full_scale,  // The device does not report it.
       .resolution = std::nullopt,
       .rate_hz = rate_hz_ > 0.0 ? rate_hz_ : std::round(settings_.rate_hz),
   };
@@ -237,7 +237,7 @@ wire::DecodedFrame XsensMtiAccelerometer::decode_data(const xbus::Message& messa
         break;
     }
   }
-  // A repeated packet is no second reading.
+  // A repeated packet is not a second reading.
   const bool repeated = packet_counter && packet_counter == last_packet_counter_;
   if (!items || !sound || repeated || (counts_packets_ && !packet_counter)) return {.malformed = true};
   if (sample_time) check_sample_time(*sample_time);

@@ -19,9 +19,9 @@ namespace abcal {
 /// sign as in xbus::decode_acceleration.
 ///
 /// Every exchange begins with "go to config", so that an answer can be distinguished from the stream; an
-/// answer is recognised by its message id, so data and late answers in between do no harm. The packet counter
-/// shows how many readings are missing. An MTi keeps an output configuration once set, also without power:
-/// start() changes it permanently (the documentation of this driver says how to restore it).
+/// answer is recognised by its message id, so data and late answers in between are ignored. The packet
+/// counter shows how many readings are missing. An MTi keeps an output configuration once set, also without
+/// power: start() changes it permanently (the documentation of this driver describes how to restore it).
 class XsensMtiAccelerometer final : public wire::PacketAccelerometer<xbus::MessageParser> {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.

@@ -3,6 +3,8 @@
 #include <bit>
 #include <stdexcept>
 
+#include "drivers/text/names.h"
+
 namespace abcal::xbus {
 namespace {
 
@@ -192,25 +194,16 @@ std::optional<std::vector<Output>> decode_output_configuration(std::string_view 
   return outputs;
 }
 
-std::string error_in_words(unsigned code) {
-  switch (code) {
-    case 0x03:
-      return "period not valid";
-    case 0x04:
-      return "message not valid or not supported";
-    case 0x1E:  // The maker's list has 30 in decimal.
-      return "timer overflow";
-    case 0x20:
-      return "baud rate not valid";
-    case 0x21:
-      return "parameter not valid";
-    case 0x28:
-      return "device error";
-    case 0x29:
-      return "more data than the link carries";
-    default:
-      return "no meaning known";
-  }
+constexpr auto kErrors = names<unsigned>({{0x03, "period not valid"},
+                                          {0x04, "message not valid or not supported"},
+                                          {0x1E, "timer overflow"},  // The maker's list has 30 in decimal.
+                                          {0x20, "baud rate not valid"},
+                                          {0x21, "parameter not valid"},
+                                          {0x28, "device error"},
+                                          {0x29, "more data than the link carries"}});
+
+std::string_view error_in_words(unsigned code) {
+  return kErrors.of(code, "no meaning known");
 }
 
 }  // namespace abcal::xbus

@@ -66,7 +66,7 @@ struct Item {
   std::string_view data;
 };
 
-/// The items of MTData2, or nothing if their lengths do not fill it exactly.
+/// The items of MTData2, or nullopt if their lengths do not fill it exactly.
 std::optional<std::vector<Item>> split_items(std::string_view data);
 
 /// Finds messages in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
@@ -81,8 +81,8 @@ class MessageParser {
   /// The next message in the bytes fed so far; absent if it needs more bytes.
   std::optional<Message> next();
 
-  /// The next message that is whole *behind* a beginning that waits for more bytes, for when the line has
-  /// fallen silent: a false beginning may claim bytes that never come.
+  /// The next whole message *after* an incomplete one, for a line that has become silent: a false beginning
+  /// may claim bytes that never arrive.
   std::optional<Message> next_behind_partial();
 
   /// True if bytes are held back that may begin a message.
@@ -108,7 +108,7 @@ class MessageParser {
   std::uint64_t skipped_bytes_ = 0;
 };
 
-// Items into values. Nothing if the data has not exactly the length that its id says.
+// Items as values. Nullopt if the data does not have exactly the length that its id requires.
 
 /// Real numbers in the format given by the lowest two bits of the id: 0 float32; 1 FP12.20: int32 / 2^20; 2
 /// FP16.32: 4 bytes of fraction, then 2 of integer, value = integer + fraction / 2^32; 3 float64.
@@ -141,10 +141,10 @@ struct Output {
 };
 inline constexpr std::uint16_t kEveryPacket = 0xFFFF;
 std::string output_configuration(const std::vector<Output>& outputs);
-/// Nothing if the length is no multiple of four.
+/// Nullopt if the length is not a multiple of four.
 std::optional<std::vector<Output>> decode_output_configuration(std::string_view data);
 
 /// The meaning of the code of an error message (42).
-std::string error_in_words(unsigned code);
+std::string_view error_in_words(unsigned code);
 
 }  // namespace abcal::xbus

@@ -3,17 +3,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
-#include <utility>
+
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
+#include "drivers/text/text.h"
 
 namespace abcal::zaber_ascii {
 namespace {
 
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
+using pieces::is_digit;
 
 /// Takes the next word off the front: words are separated by single spaces.
 std::string_view take_word(std::string_view& rest) {
@@ -41,9 +40,7 @@ bool is_flag(std::string_view word) {
                           std::all_of(word.begin(), word.end(), [](char c) { return c >= 'A' && c <= 'Z'; }));
 }
 
-using Texts = std::pair<std::string_view, std::string_view>;
-
-constexpr std::array kWarnings = std::to_array<Texts>({
+constexpr auto kWarnings = names<std::string_view>({
     {"--", "no warning"},
     {"FD", "driver overheated or disabled"},
     {"FQ", "encoder error"},
@@ -66,7 +63,7 @@ constexpr std::array kWarnings = std::to_array<Texts>({
     {"NJ", "joystick is being calibrated"},
 });
 
-constexpr std::array kRejections = std::to_array<Texts>({
+constexpr auto kRejections = names<std::string_view>({
     {"AGAIN", "it cannot be done now; try again"},
     {"BADAXIS", "there is no such axis"},
     {"BADCOMMAND", "the device does not know the command"},
@@ -81,14 +78,6 @@ constexpr std::array kRejections = std::to_array<Texts>({
     {"PARKED", "the axis is parked"},
     {"STATUSBUSY", "it is not permitted while the axis moves"},
 });
-
-template <std::size_t N>
-std::string_view find_text(const std::array<Texts, N>& texts, std::string_view key) {
-  for (const auto& [known, text] : texts) {
-    if (known == key) return text;
-  }
-  return "of unknown meaning";
-}
 
 }  // namespace
 
@@ -192,13 +181,10 @@ std::optional<Message> find_message(std::string_view line, bool checksum_require
 }
 
 std::optional<double> parse_number(std::string_view text) {
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
   // No position, speed or setting is this large: a larger number is a damaged reply.
   constexpr double kLargestNumber = 1e18;
-  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
-  return value;
+  const auto value = pieces::number<double>(text);
+  return value && std::abs(*value) <= kLargestNumber ? value : std::nullopt;
 }
 
 std::optional<std::vector<std::string>> parse_warnings(std::string_view data) {
@@ -215,11 +201,11 @@ std::optional<std::vector<std::string>> parse_warnings(std::string_view data) {
 }
 
 std::string_view warning_text(std::string_view flag) {
-  return find_text(kWarnings, flag);
+  return kWarnings.of(flag, "of unknown meaning");
 }
 
 std::string_view rejection_text(std::string_view reason) {
-  return find_text(kRejections, reason);
+  return kRejections.of(reason, "of unknown meaning");
 }
 
 }  // namespace abcal::zaber_ascii

@@ -23,7 +23,7 @@ std::string command_line(std::string_view content);
 /// the status.
 std::string command(int device, int axis, int id, std::string_view data);
 
-/// One line, up to its LF (or a CR that stands alone). Longer than kLongestLine is no line.
+/// One line, up to its LF (or a single CR). Anything longer than kLongestLine is invalid.
 wire::FrameVerdict check_line(std::string_view bytes);
 inline constexpr std::size_t kLongestLine = 1024;
 
@@ -38,16 +38,16 @@ struct Message {
   bool busy = false;          ///< BUSY, not IDLE. Replies and alerts.
   std::string warning;        ///< Two letters, or "--". Replies and alerts.
   std::string data;           ///< The rest of the message. A reply has at least one word.
-  bool continues = false;     ///< The text goes on in the next message.
+  bool continues = false;     ///< The text continues in the next message.
   bool has_checksum = false;  ///< It has one, and it holds.
 };
 
-/// A line without its end. Nothing if it is no message, or if its checksum is wrong; with
+/// A line without its end. Nullopt if it is not a message, or if its checksum is wrong; with
 /// `checksum_required` also if it has none.
 std::optional<Message> parse_message(std::string_view line, bool checksum_required);
 
-/// The message of a received line: the line without its end, and where bytes of something else came before it
-/// on the same line, the part from the message's first character, if its checksum holds.
+/// The message of a received line: the line without its end, and if other bytes precede it on the same line,
+/// the part from the message's first character, if its checksum holds.
 std::optional<Message> find_message(std::string_view line, bool checksum_required);
 
 /// A whole number or decimal that fills the text.

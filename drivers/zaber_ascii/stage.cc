@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <cstdint>
 #include <map>
@@ -19,6 +18,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 #include "drivers/wire/line_exchange.h"
 #include "drivers/zaber_ascii/codec.h"
 
@@ -51,11 +51,8 @@ struct AxisName {
 };
 
 std::optional<int> number_between(std::string_view text, int least, int most) {
-  int value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (value < least || value > most) return std::nullopt;
-  return value;
+  const auto value = pieces::number<int>(text);
+  return value && *value >= least && *value <= most ? value : std::nullopt;
 }
 
 std::optional<AxisName> parse_axis_name(std::string_view name) {
@@ -132,7 +129,7 @@ class ZaberAsciiController final : public wire::LineController {
 
   // ---- Messages
 
-  /// Bytes other than the awaited reply that came while waiting for it.
+  /// Bytes other than the awaited reply that arrived while waiting for it.
   struct Heard {
     std::string bytes;
     bool messages = false;  ///< Some of the bytes formed a message.
@@ -216,7 +213,7 @@ class ZaberAsciiController final : public wire::LineController {
     int axes = 0;
   };
 
-  /// The axis counts that come back to one question to all devices (or to the one of the bench file).
+  /// The axis counts in the replies to one question to all devices (or to the one of the bench file).
   std::map<int, Device> ask_who_is_there(int device, Heard& heard) {
     std::map<int, Device> found;
     const int id = next_id();
@@ -304,7 +301,7 @@ class ZaberAsciiController final : public wire::LineController {
       place = {*name.device, name.number};
     } else if (!settings_.address.empty() || devices.size() == 1) {
       place = {devices.begin()->first, name.number};
-      // The only device that is there, by its own number.
+      // The only device on the line, by its own number.
       if (settings_.address.empty() && devices.begin()->second.axes == 1 && name.number == place.device)
         place.axis = 1;
     } else {
@@ -563,7 +560,7 @@ class ZaberAsciiController final : public wire::LineController {
   }
 
   /// A half-written command ends in a checksum that is wrong, so that no device takes it. Each recipe stops
-  /// all devices. Where it is not known on which devices the axes are, all of them are asked.
+  /// all devices. If the devices of the axes are unknown, all devices are asked.
   std::vector<HaltRecipe> halt_recipes() const override {
     std::map<int, HaltRecipe> of_device;
     for (const StageAxis axis : kStageAxes) {
@@ -585,7 +582,7 @@ class ZaberAsciiController final : public wire::LineController {
     return recipes;
   }
 
-  /// Whether an axis stands still; of device 0 whether all axes of all devices do.
+  /// Asks whether an axis is at rest; for device 0, whether all axes of all devices are.
   static void add_questions(HaltRecipe& recipe, Place place) {
     // Two message ids: late replies to a driver have at most one of them.
     for (const int id : {41, 83}) {

@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "drivers/text/names.h"
+
 namespace abcal {
 
 namespace {
@@ -66,20 +68,15 @@ double value_mps2(Angle latitude, double height_m, GravityFormula formula) {
   return normal_gravity(kGrs80Ellipsoid, sine * sine, height_m);
 }
 
+constexpr auto kFormulas = names<GravityFormula>({{GravityFormula::kWgs84, "WGS84"},
+                                                  {GravityFormula::kWelmec, "WELMEC"},
+                                                  {GravityFormula::kNpl, "NPL"},
+                                                  {GravityFormula::kGrs80, "GRS80"}});
+
 }  // namespace
 
 std::string_view to_string(GravityFormula formula) {
-  switch (formula) {
-    case GravityFormula::kWgs84:
-      return "WGS84";
-    case GravityFormula::kWelmec:
-      return "WELMEC";
-    case GravityFormula::kNpl:
-      return "NPL";
-    case GravityFormula::kGrs80:
-      break;
-  }
-  return "GRS80";
+  return kFormulas.of(formula, "GRS80");
 }
 
 FormulaGravity formula_gravity(Angle latitude, double height_m, GravityFormula formula) {

@@ -56,4 +56,10 @@ Eigen::MatrixXd scaled_columns(const MatrixView& m, const VectorView& scale) {
   return m * scale.asDiagonal();
 }
 
+Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
+  Eigen::Matrix3d m;
+  m << 0.0, -v.z(), v.y(), v.z(), 0.0, -v.x(), -v.y(), v.x(), 0.0;
+  return m;
+}
+
 }  // namespace abcal

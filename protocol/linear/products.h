@@ -43,5 +43,7 @@ Eigen::MatrixXd scaled_on_both_sides(const MatrixView& m, const VectorView& scal
 Eigen::MatrixXd scaled_rows(const VectorView& scale, const MatrixView& m);
 /// M diag(scale).
 Eigen::MatrixXd scaled_columns(const MatrixView& m, const VectorView& scale);
+/// The matrix whose product with a vector is the cross product of v with it.
+Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v);
 
 }  // namespace abcal

@@ -24,10 +24,10 @@ struct Alignment {
   Eigen::Vector3d x_axis() const;
 };
 
-/// The sensitivity matrix in the LGCS of an accelerometer that stands on the platter: each row of
-/// `platter_sensitivity` (rows u, v, w; R/g_loc) turned by RRF(s_j, E, Theta_E), E = z x Z / |z x Z|, Theta_E
-/// the angle from z to Z. This tilted matrix is determined by the measurement, and is called the truth
-/// (docs/theory/model.md). zx = zy = 0 gives the matrix back unchanged.
+/// The sensitivity matrix in the LGCS of an accelerometer on the platter: each row of `platter_sensitivity`
+/// (rows u, v, w; R/g_loc) turned by RRF(s_j, E, Theta_E), E = z x Z / |z x Z|, Theta_E the angle from z to
+/// Z. This tilted matrix is determined by the measurement, and is called the truth (docs/theory/model.md).
+/// With zx = zy = 0 the matrix is unchanged.
 Eigen::Matrix3d tilted(const Eigen::Matrix3d& platter_sensitivity, const Alignment& alignment);
 
 /// All angular errors of the accelerometer calibration system (ACS). Default: a perfect stage.

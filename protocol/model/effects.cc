@@ -28,9 +28,8 @@ template <int experiment, int face>
 bool in_circle(const StagePose& pose) {
   return pose.experiment == experiment && pose.face == face;
 }
-/// Whether an axis has the errors of its map: wherever it moves, and where it stands in face 2. At 0 degrees
-/// it has its zero, and the initial turns of -90 degrees have errors of their own, as in the published
-/// protocol.
+/// Whether an axis has the errors of its map: while it moves, and at rest in face 2. At 0 degrees it has its
+/// zero, and the initial turns of -90 degrees have errors of their own, as in the published protocol.
 template <bool of_x>
 bool has_its_map(const StagePose& pose) {
   return pose.about_x() == of_x || pose.face == 2;
@@ -67,8 +66,8 @@ std::string smooth_name(int i) {
   return std::string(i % 2 == 0 ? "sin " : "cos ") + std::to_string(i / 2 + 1) + "/rev";
 }
 
-/// c cos(m a) + d sin(m a), m = 1 .. 3, along the two directions across the axis; it acts also where the axis
-/// stands, and at the pose (0, 0), where s is defined.
+/// c cos(m a) + d sin(m a), m = 1 .. 3, along the two directions across the axis; it also acts on an axis at
+/// rest, and at the pose (0, 0), where s is defined.
 template <bool of_x>
 StageShare wobble_share(const StagePose& pose, int i) {
   const auto m = static_cast<std::size_t>(i / 4 + 1);
@@ -201,10 +200,18 @@ ItemShare cross_share(const ItemPoint& at, int output, int i) {
   const double a = at.y(output);
   const double b = at.y((output + 1) % 3);
   const double d = at.y((output + 2) % 3);
-  const std::array<ItemShare, 5> shares{ItemShare{a * b, b, a, 0.0}, ItemShare{a * d, d, 0.0, a},
-                                        ItemShare{b * d, 0.0, d, b}, ItemShare{b * b, 0.0, 2.0 * b, 0.0},
-                                        ItemShare{d * d, 0.0, 0.0, 2.0 * d}};
-  return shares[static_cast<std::size_t>(i)];
+  switch (i) {
+    case 0:
+      return {a * b, b, a, 0.0};
+    case 1:
+      return {a * d, d, 0.0, a};
+    case 2:
+      return {b * d, 0.0, d, b};
+    case 3:
+      return {b * b, 0.0, 2.0 * b, 0.0};
+    default:
+      return {d * d, 0.0, 0.0, 2.0 * d};
+  }
 }
 std::string cross_name(int i) {
   static constexpr std::array<const char*, 5> kNames{"own and next", "own and last", "next and last",
@@ -232,7 +239,8 @@ double relative_rate(const ItemPoint& at) {
 }
 template <int power>
 ItemShare low_pass_share(const ItemPoint& at, int output, int /*i*/) {
-  const double loss = std::pow(relative_rate(at), power);
+  double loss = 1.0;
+  for (int k = 0; k < power; ++k) loss *= relative_rate(at);
   return {-loss * at.swing(output), -loss};
 }
 ItemShare delay_difference_share(const ItemPoint& at, int output, int /*i*/) {
@@ -361,6 +369,28 @@ std::span<const StageEffect> stage_effects() {
 
 std::span<const ItemEffect> item_effects() {
   return kItemEffects;
+}
+
+double largest_drift_rate(const EffectSizes& sizes) {
+  constexpr int kTimes = 100;
+  constexpr double kApart = 1.0 / kTimes;
+  double largest = 0.0;
+  for (int n = 0; n < kTimes; ++n) {
+    double variance = 0.0;
+    for (const ItemEffect& effect : kItemEffects) {
+      if (effect.kind != kDrift) continue;
+      for (int i = 0; i < effect.count; ++i) {
+        ItemPoint point;
+        point.y = Eigen::Vector3d::Ones();
+        point.t = n * kApart - 0.5;
+        const double before = effect.share(point, 0, i).value;
+        point.t += kApart;
+        variance += std::pow(effect.prior(sizes) * (effect.share(point, 0, i).value - before) / kApart, 2);
+      }
+    }
+    largest = std::max(largest, variance);
+  }
+  return std::sqrt(largest);
 }
 
 Eigen::Vector3d EffectColumn::at(const StagePose& pose, const ItemPoint& point,

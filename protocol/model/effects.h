@@ -60,7 +60,7 @@ struct ItemPoint {
   /// Derivatives of the responses of u, v, w (rows) by the position of their elements, 1/m.
   Eigen::Matrix3d by_position = Eigen::Matrix3d::Zero();
 
-  /// Completes a point where the stage turns.
+  /// Completes a point during motion of the stage.
   /// @param rows  of the linear responses: those of s, each relative to its S_j
   void turn(const StagePose& pose, const Eigen::Matrix3d& rows, const GravityAt& gravity);
 };
@@ -124,6 +124,10 @@ bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, b
 
 std::span<const StageEffect> stage_effects();
 std::span<const ItemEffect> item_effects();
+
+/// Standard deviation of the rate at which an output drifts by the stated effects where it is largest in the
+/// run, relative to S_j, for the duration of the run as the unit of time.
+double largest_drift_rate(const EffectSizes& sizes);
 
 /// One unknown of the table.
 struct EffectColumn {

@@ -66,7 +66,7 @@ StagePose StagePose::of(int experiment, int face, double sin_alpha, double cos_a
 
 namespace {
 
-/// The way of gravity back through all that the item went through.
+/// The inverse rotations of gravity, from the room to the item.
 struct WayBack {
   WayBack(const StagePose& pose, const StageInputs& inputs)
       : zx(inputs(kInputZx)),

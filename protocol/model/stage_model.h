@@ -21,7 +21,7 @@ enum StageInput : int {
   kInputTiltXzAtZero,
   kInputTiltZxAtZero,
   kInputTiltZyAtZero,
-  kInputForceX,  ///< Specific force beside gravity, along x, y, z of the platter as g is (g_loc).
+  kInputForceX,  ///< Specific force in addition to gravity, along x, y, z of the platter, as for g (g_loc).
   kInputForceY,
   kInputForceZ,
   kStageInputs,
@@ -40,11 +40,11 @@ struct AngleHarmonics {
 /// One commanded pose of the three experiments.
 struct StagePose {
   int experiment = 1;  ///< 1 and 2: X moves; 3: Z moves.
-  /// 2: the axis that stands is turned by half a turn more than in face 1 (protocol/plan/faces.h).
+  /// 2: the axis at rest is turned by half a turn more than in face 1 (protocol/plan/faces.h).
   int face = 1;
-  /// Commanded angles of the axes; an axis that stands has 0 or -90 degrees, in face 2 180 or 90 degrees.
+  /// Commanded angles of the axes; an axis at rest has 0 or -90 degrees, in face 2 180 or 90 degrees.
   AngleHarmonics x, z;
-  // Motion of the axis that moves, where the stage does not stand.
+  // Motion of the moving axis, unless the stage is at rest.
   double rate_radps = 0.0;
   double acceleration_radps2 = 0.0;
   double mean_rate_radps = 0.0;  ///< The mean over its sweep, by which the filter of the item acts.

@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// Where an axis is at a time, whose zero has no meaning.
+/// Position of an axis at a time with an arbitrary zero.
 struct AngleAtTime {
   double time_s = 0.0;
   double angle_deg = 0.0;

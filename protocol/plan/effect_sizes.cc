@@ -4,6 +4,8 @@
 
 #include <array>
 
+#include "drivers/text/names.h"
+
 namespace abcal {
 namespace {
 
@@ -12,8 +14,10 @@ constexpr std::string_view kStage = "stage_uncertainty";
 constexpr std::string_view kDefaultSource = "default";
 constexpr std::string_view kItem = "item_uncertainty";
 
-/// In the order of Shape.
-constexpr std::array<std::string_view, 4> kShapeNames{"normal", "rectangular", "triangular", "u-shaped"};
+constexpr auto kShapes = names<Shape>({{Shape::kNormal, "normal"},
+                                       {Shape::kRectangular, "rectangular"},
+                                       {Shape::kTriangular, "triangular"},
+                                       {Shape::kUShaped, "u-shaped"}});
 
 template <Angle EffectSizes::*member>
 constexpr double degrees_of(const EffectSizes& sizes) {
@@ -130,13 +134,11 @@ std::string full_name(const EffectSizeKey& key) {
 }  // namespace
 
 std::string_view to_string(Shape shape) {
-  return kShapeNames[static_cast<std::size_t>(shape)];
+  return kShapes.of(shape);
 }
 
 std::optional<Shape> shape_named(std::string_view name) {
-  for (std::size_t i = 0; i < kShapeNames.size(); ++i)
-    if (kShapeNames[i] == name) return static_cast<Shape>(i);
-  return std::nullopt;
+  return kShapes.value(name);
 }
 
 Shape EffectSizes::shape_of(std::string_view key) const {

@@ -75,7 +75,7 @@ struct EffectSizes {
   double position_mm = 0.0;         ///< Each coordinate of the apparent position of an output's element.
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
-  /// is absent was not stated: its size is the default, and results say so.
+  /// is absent was not stated: its size is the default, which results report.
   std::map<std::string, std::string, std::less<>> sources = {};
 
   /// Shapes other than the normal distribution, by the same keys.
@@ -114,7 +114,7 @@ struct EffectSizeKey {
   void (*set)(EffectSizes&, double) = nullptr;
 };
 
-/// Whether a file has no entry for a size: that of an effect of motion in a run whose stage stands.
+/// Whether a file has no entry for a size, as for an effect of motion in a run with a stage at rest.
 bool is_without_entry(const EffectSizeKey& key, const EffectSizes& sizes);
 
 /// Every size, in the order in which files list them.

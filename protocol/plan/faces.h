@@ -7,8 +7,8 @@
 namespace abcal {
 
 // Two faces (docs/measurement.md, "Two faces"): each experiment is measured in two circles. In the second the
-// axis that stands is turned by half a turn more, so that errors of the stage act on the item with the
-// opposite sign.
+// axis at rest is turned by half a turn more, so that errors of the stage act on the item with the opposite
+// sign.
 
 inline constexpr int kFaces = 2;
 
@@ -18,7 +18,7 @@ inline constexpr int kFaces = 2;
 /// @param faces  1 or 2
 int face_of(int n, int faces);
 
-/// Where the axis that does not turn stands: Z at 0 (face 2: 180) degrees in experiment 1, Z at -90 (90) in
+/// Position of the axis that does not turn: Z at 0 (face 2: 180) degrees in experiment 1, Z at -90 (90) in
 /// experiment 2, X at -90 (90) in experiment 3.
 Angle held_angle(int experiment, int face);
 

@@ -16,7 +16,7 @@ namespace {
 /// 0.1 mg at 1 g for each kelvin, in offset or sensitivity: usual accelerometers.
 constexpr double kUsualTemperatureCoefficient = 1e-4;  // 1/K
 
-/// Nine numbers that are the rows of a rotation, made exact; nothing if they are not.
+/// Nine numbers that are the rows of a rotation, made exact; nullopt if they are not.
 std::optional<Eigen::Matrix3d> rotation_of_numbers(std::string_view text) {
   constexpr double kDigits = 2e-3;
   std::istringstream words{std::string(text)};

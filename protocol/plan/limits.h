@@ -38,7 +38,7 @@ struct LimitsConfig {
 /// Expected properties of the accelerometer (`[item]` of a bench file); a result that differs is called
 /// doubtful.
 struct ExpectedItem {
-  /// R for 9.80665 m/s2. Absent: as the response unit says (g, m/s2), else not known.
+  /// R for 9.80665 m/s2. Absent: from the response unit (g, m/s2), otherwise unknown.
   std::optional<double> nominal_sensitivity;
   double sensitivity_tolerance = 0.005;  ///< Largest relative difference from it.
   std::string mounting = "x y z";        ///< Along which axes u, v, w point at the default orientation.
@@ -55,7 +55,7 @@ inline constexpr double kFalseAlarmDeviate = 4.891638;
 /// m/s2, exact by definition (CGPM 1901): the unit g, in which instruments report.
 inline constexpr double kStandardGravity = 9.80665;
 
-/// A turn that came about once: both positions may each be off by the tolerance of a zero or of a turn.
+/// A turn that occurred once: each of both positions may be off by the tolerance of a zero or of a turn.
 Angle slip_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 /// An angle and its step error.
 Angle angle_limit(const LimitsConfig& limits, const Tolerances& tolerances);
@@ -77,7 +77,7 @@ std::optional<double> nominal_response(const ExpectedItem& item, std::string_vie
                                        double g_loc_mps2);
 
 /// The directions of u, v, w at the default orientation, as rows: of a signed permutation, "x y z" or
-/// "-y x z"; or of a rotation, nine numbers row by row (to about three digits). Nothing if it is neither.
+/// "-y x z"; or of a rotation, nine numbers row by row (to about three digits). Nullopt if it is neither.
 std::optional<Eigen::Matrix3d> mounting_matrix(std::string_view mounting);
 
 }  // namespace abcal

@@ -53,10 +53,10 @@ struct PrefixedUnit {
 /// "V", "mV", "ug", "m/s^2" in the table of units; absent: not in it.
 std::optional<PrefixedUnit> find_unit(std::string_view name);
 
-/// The row with this word of D-SI ("volt"), without backslash; null: not there.
+/// The row with this word of D-SI ("volt"), without backslash; null if absent.
 const NamedUnit* find_d_si_unit(std::string_view word);
 
-/// The prefix with this word of D-SI ("milli"), without backslash; null: not there.
+/// The prefix with this word of D-SI ("milli"), without backslash; null if absent.
 const UnitPrefix* find_d_si_prefix(std::string_view word);
 
 /// A response unit as accelerometers and bench files name it: V, A and their prefixes, "g" = 9.80665 m/s2,

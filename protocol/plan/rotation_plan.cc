@@ -32,7 +32,7 @@ std::string describe(const AxisTravel& travel) {
   return number(travel.min.deg()) + " to " + number(travel.max.deg()) + " deg";
 }
 
-/// `angle` moved by whole turns to the least value not below `lowest`; nothing if that is above `highest`.
+/// `angle` moved by whole turns to the least value not below `lowest`; nullopt if that is above `highest`.
 std::optional<Angle> representation(Angle angle, Angle lowest, Angle highest) {
   const double turns = std::ceil((lowest.deg() - angle.deg()) / kTurn.deg());
   const Angle moved = angle + kTurn * turns;
@@ -40,8 +40,7 @@ std::optional<Angle> representation(Angle angle, Angle lowest, Angle highest) {
   return moved;
 }
 
-/// Positions in which an axis may stand at an angle: the angle itself and a turn to either side, within the
-/// travel.
+/// Possible positions of an axis at an angle: the angle itself and a turn to either side, within the travel.
 std::vector<Angle> representations(Angle angle, const AxisTravel& travel, Angle approach) {
   const Angle lowest = travel.min + approach;
   std::vector<Angle> possible;

@@ -36,7 +36,7 @@ struct PlannedAngle {
   Angle x, z;            ///< Commanded angles.
   bool check = false;    ///< A check pose: experiment 0, n = 1 or 2, alpha = 0.
   int face = 1;          ///< 1 or 2 (protocol/plan/faces.h).
-  /// Number of the sweep in its circle, from 1, in which the stage passes the angle; 0: it stands there.
+  /// Number of the sweep in its circle, from 1, in which the stage passes the angle; 0: at rest.
   int sweep = 0;
   double rate_deg_per_s = 0.0;  ///< That of the sweep; below zero: towards lower angles.
 
@@ -46,7 +46,7 @@ struct PlannedAngle {
 };
 
 /// One past the last position of the sweep to which the angle at `position` belongs; position + 1 for an
-/// angle at which the stage stands.
+/// angle at rest.
 std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t position);
 
 /// Fewest readings of a step in a sweep that a plan accepts.
@@ -58,15 +58,15 @@ inline constexpr double kLeastReadingsOfStep = 8.0;
 struct SweepTravel {
   Angle from, to;
 };
-/// Whether a sweep begins where the axis stands: at its beginning, or before it by less than a move there
-/// would take.
+/// Whether a sweep can begin at the present position: at its beginning, or before it by less than a move
+/// there would need.
 bool can_sweep_from(Angle at, const SweepTravel& way, double rate_deg_per_s);
 SweepTravel sweep_travel(const PlannedAngle& first, const PlannedAngle& last, const ProtocolConfig& config);
 
 /// Whether angles of the second face are among them.
 bool has_two_faces(const std::vector<PlannedAngle>& plan);
 
-/// Whether angles of experiments 1 to 3 are among them. A levelling has none; its angles are no check poses.
+/// Whether angles of experiments 1 to 3 are among them. A levelling has none; its angles are not check poses.
 bool has_experiments(const std::vector<PlannedAngle>& plan);
 
 /// Reports every reason why a run cannot be planned.

@@ -1,6 +1,19 @@
 #include "protocol/plan/run_config.h"
 
+#include "drivers/text/names.h"
+
 namespace abcal {
+
+constexpr auto kAxesOrders =
+    names<AxesOrder>({{AxesOrder::kXThenZ, "x then z"}, {AxesOrder::kTogether, "together"}});
+
+std::string_view to_string(AxesOrder order) {
+  return kAxesOrders.of(order);
+}
+
+std::optional<AxesOrder> axes_order_named(std::string_view word) {
+  return kAxesOrders.value(word);
+}
 
 std::string to_string(const Problem& problem) {
   std::string text = problem.where;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -10,7 +11,7 @@
 
 namespace abcal {
 
-/// One thing that is wrong with a bench file, a plan or an imported file, said so that a person can mend it.
+/// One mistake in a bench file, a plan or an imported file, described so that a person can correct it.
 struct Problem {
   std::string where;        ///< "line 12, [protocol] steps", "axis X".
   std::string found;        ///< The text or value that was found.
@@ -33,12 +34,22 @@ inline constexpr std::array<std::string_view, 3> kEstimatorNames{"abc", "joint",
 inline constexpr std::string_view kEstimatorLabel = "protocol.estimator";
 /// The estimator whose result is the result of a run, unless `[protocol] estimator` names another.
 inline constexpr std::string_view kDefaultEstimator = "joint";
-/// The published protocol: of records that do not say which estimator was chosen.
+/// The published protocol: for records that do not name an estimator.
 inline constexpr std::string_view kPublishedEstimator = "abc";
 
-/// The ways in which an experiment can be measured, by name (`[protocol] motion`): the stage stands at each
+/// The ways in which an experiment can be measured, by name (`[protocol] motion`): the stage stops at each
 /// angle, or it turns through each circle at a constant rate (docs/constant_rate.md).
 inline constexpr std::array<std::string_view, 2> kMotionNames{"steps", "constant_rate"};
+
+/// The order in which the axes move from one angle to the next.
+enum class AxesOrder {
+  kXThenZ,    ///< X moves and stops, then Z.
+  kTogether,  ///< Both move at once.
+};
+/// "x then z", "together": as run files and tables write it.
+std::string_view to_string(AxesOrder order);
+/// @return nothing for any other word
+std::optional<AxesOrder> axes_order_named(std::string_view word);
 
 /// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
 struct ProtocolConfig {
@@ -74,7 +85,7 @@ struct ProtocolConfig {
   double mains_hz = 0.0;            ///< > 0: the dwell lasts a whole number of mains periods.
   double reading_timeout_s = 2.0;   ///< An accelerometer without any reading for this time counts as silent.
   double warm_up_s = 0.0;           ///< Waited, with everything on, before the first angle.
-  double replug_timeout_s = 120.0;  ///< Longest wait for a port that vanished to come back.
+  double replug_timeout_s = 120.0;  ///< Longest wait for the return of a port that vanished.
   double stability_s = 0.0;  ///< Outputs and temperature must be stable for this time before the first angle.
   double stability_timeout_s = 3600.0;  ///< Longest wait for that.
 

@@ -5,10 +5,10 @@
 
 namespace abcal {
 
-/// Where a point stands in a series.
+/// The place of a point in a series.
 enum class SeriesLeg { kReference, kUp, kDown, kReturn };
 std::string_view to_string(SeriesLeg leg);
-/// @return nothing for a word that is none of them
+/// @return nullopt for any other word
 std::optional<SeriesLeg> series_leg_from(std::string_view word);
 
 }  // namespace abcal

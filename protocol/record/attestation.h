@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// A public key that is trusted, and whose it is.
+/// A trusted public key, and its owner.
 struct TrustedKey {
   std::string owner;
   std::string public_pem;

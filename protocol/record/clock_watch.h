@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// Two clocks that should go on alike, at one moment.
+/// The readings of two clocks, which should advance equally, at one moment.
 struct ClockPair {
   Clock::UtcTime utc;         ///< By the system clock.
   Clock::Duration monotonic;  ///< Since some fixed moment.

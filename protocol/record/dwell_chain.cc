@@ -23,7 +23,7 @@ constexpr std::array kHeadQueries{
 /// Since version 5. Face 1 adds no row, so that the links of earlier versions stay valid.
 constexpr const char* kFacesOfPlan = "select position, face from plan where face <> 1 order by position";
 constexpr const char* kFaceOfDwell = "select face from dwell where id = :dwell and face <> 1";
-/// Angles at which the stage stands add no row either.
+/// Angles at rest add no row either.
 constexpr const char* kSweepsOfPlan =
     "select position, sweep, rate_deg_per_s from plan where sweep <> 0 order by position";
 constexpr const char* kMotionOfDwell =

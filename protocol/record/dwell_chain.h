@@ -22,12 +22,12 @@ std::string head_link(SqliteDatabase& database);
 
 /// The link of a dwell that is stored: SHA-256, in hexadecimal, over the link before, the columns of its
 /// session that are known at its beginning, all its own but the link, and all of its readings.
-/// docs/run_file.md says which bytes.
+/// docs/run_file.md defines the bytes.
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before);
 
-/// The last link of a run file's dwells, which names its readings and all that stands before them; empty in a
-/// file of version 2, and before the first angle.
-/// @throws RunFileError if the file is no run file
+/// The last link of a run file's dwells, which names its readings and everything before them; empty in a file
+/// of version 2, and before the first angle.
+/// @throws RunFileError if the file is not a run file
 std::string last_dwell_link(const std::filesystem::path& run);
 
 /// A stored dwell, as far as its witness is concerned.
@@ -45,7 +45,7 @@ struct RunLinks {
   std::vector<LinkedDwell> dwells;
   std::string closing;  ///< closing_link().
 };
-/// @throws RunFileError if the file is no run file
+/// @throws RunFileError if the file is not a run file
 RunLinks run_links(const std::filesystem::path& run);
 
 /// SHA-256, in hexadecimal, over everything that no link of a dwell covers: all facts with state and timing,

@@ -10,6 +10,7 @@
 #include <utility>
 #include <variant>
 
+#include "drivers/text/letters.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/run_schema.h"
 
@@ -301,9 +302,8 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   const auto& scale = constants.temperature;
   row.set("first_temperature_degc", scale ? std::optional(scale->first_degc) : std::nullopt)
       .set("temperature_step_degc", scale ? std::optional(scale->step_degc) : std::nullopt);
-  constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"};
   for (int j = 0; j < 3; ++j) {
-    const std::string output = kOutputs.at(static_cast<std::size_t>(j));
+    const std::string output(kOutputNames[j]);
     row.set("r_" + output, dwell.mean[j]).set("spread_" + output, dwell.spread[j]);
     row.set("u_" + output, dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt);
   }

@@ -25,7 +25,7 @@ class DwellWriter {
  public:
   DwellWriter(SqliteDatabase& database, const SessionTimes& times) : database_(database), times_(times) {}
 
-  /// Values of a row beside the dwell and its readings.
+  /// Values of a row in addition to the dwell and its readings.
   struct Row {
     std::optional<std::int64_t> id{};  ///< Absent: the next.
     int item = 1;

@@ -7,7 +7,6 @@
 #include <array>
 #include <cctype>
 #include <cerrno>
-#include <charconv>
 #include <cmath>
 #include <cstddef>
 #include <cstring>
@@ -15,11 +14,13 @@
 #include <iterator>
 #include <limits>
 #include <map>
+#include <numbers>
 #include <optional>
 #include <string_view>
 #include <tuple>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "protocol/plan/faces.h"
 #include "protocol/plan/rotation_plan.h"
@@ -36,10 +37,16 @@ constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_de
 constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
 constexpr std::array<std::string_view, 3> kSpreadColumns{"spread_u", "spread_v", "spread_w"};
-constexpr std::array<std::string_view, 18> kKnown{
-    "experiment", "n",        "alpha_deg", "r_u",   "r_v",   "r_w",     "u_u",
-    "u_v",        "u_w",      "time_s",    "count", "flags", "closing", "temperature_degc",
-    "spread_u",   "spread_v", "spread_w",  "face"};
+constexpr std::array<std::string_view, 20> kKnown{"experiment",    "n",
+                                                  "alpha_deg",     "r_u",
+                                                  "r_v",           "r_w",
+                                                  "u_u",           "u_v",
+                                                  "u_w",           "time_s",
+                                                  "count",         "flags",
+                                                  "closing",       "temperature_degc",
+                                                  "encoder_x_deg", "encoder_z_deg",
+                                                  "spread_u",      "spread_v",
+                                                  "spread_w",      "face"};
 
 struct Row {
   int line = 0;
@@ -144,13 +151,7 @@ Table split(std::string_view text) {
 std::optional<double> number_in(std::string_view text, bool decimal_comma) {
   std::string digits(trimmed(text));
   if (decimal_comma) std::replace(digits.begin(), digits.end(), ',', '.');
-  const char* first = digits.data();
-  const char* const last = digits.data() + digits.size();
-  if (first != last && *first == '+') ++first;
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(first, last, value);
-  if (error != std::errc() || end != last || first == last) return std::nullopt;
-  return value;
+  return pieces::number<double>(std::string_view(digits).substr(digits.starts_with('+') ? 1 : 0));
 }
 
 class Importer {
@@ -170,9 +171,11 @@ class Importer {
     read_comments();
     if (read_header()) {
       for (std::size_t i = 1; i < table_.rows.size(); ++i) read_row(table_.rows[i]);
+      refuse_radians();
       for (Problem& each : too_few_angles(record_.dwells)) problems_.push_back(std::move(each));
     }
     if (!has("closing")) mark_closing_angles(record_.dwells);
+    read_row_order();
     infer_steps();
     if (!problems_.empty()) throw CsvError(source_, std::move(problems_));
     return std::move(record_);
@@ -212,6 +215,9 @@ class Importer {
     read_limits_entries([&](const std::string& key) { return metadata_number(key, -1e9); }, comment_text,
                         record_.limits, record_.expected);
     if (const auto chosen = comment_text(std::string(kEstimatorLabel))) read_estimator(*chosen);
+    if (const auto order = comment_text("protocol.axes_order")) record_.axes_order = axes_order_named(*order);
+    if (const auto deg = metadata_number("protocol.approach_deg", 0.0, 45.0))
+      record_.approach = Angle::degrees(*deg);
     record_.continuations = static_cast<int>(metadata_number("continuations", 0.0, 1e6).value_or(0.0));
     MeasuredAlignment& alignment = record_.measured_alignment;
     for (const auto& [name, measured] :
@@ -289,7 +295,7 @@ class Importer {
     }
   }
 
-  /// The number behind a key in the comments; absent, and a problem is reported, if the text is no number.
+  /// The number behind a key in the comments; absent, and a problem is reported, if the text is not a number.
   std::optional<double> metadata_number(const std::string& key, double lowest = 0.0, double highest = 1e9) {
     const auto found = metadata_.find(key);
     if (found == metadata_.end()) return std::nullopt;
@@ -308,9 +314,7 @@ class Importer {
     }
     const Row& header = table_.rows.front();
     for (std::size_t i = 0; i < header.fields.size(); ++i) {
-      std::string name(trimmed(header.fields[i]));
-      std::transform(name.begin(), name.end(), name.begin(),
-                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+      const std::string name = pieces::lower(trimmed(header.fields[i]));
       if (std::find(kKnown.begin(), kKnown.end(), name) == kKnown.end()) continue;
       if (!columns_.emplace(name, i).second) {
         problem(fmt::format("line {}, {}", header.line, name), "the column twice", "each column once");
@@ -432,7 +436,20 @@ class Importer {
       return;
     }
     set_commanded_angles(dwell);
+    take_turns_of_encoder(row, dwell);
     record_.dwells.push_back(dwell);
+  }
+
+  /// Moves the commanded angles by the whole turns of the encoder angles, if the file has them.
+  void take_turns_of_encoder(const Row& row, DwellRecord& dwell) {
+    const auto near = [&](const char* column, Angle& commanded) {
+      if (!has(column)) return;
+      const auto encoder_deg = optional_number(row, column);
+      if (encoder_deg && std::isfinite(*encoder_deg))
+        commanded += Angle::degrees(360.0 * std::round((*encoder_deg - commanded.deg()) / 360.0));
+    };
+    near("encoder_x_deg", dwell.commanded_x);
+    near("encoder_z_deg", dwell.commanded_z);
   }
 
   void read_check_pose(const Row& row, DwellRecord dwell) {
@@ -446,6 +463,7 @@ class Importer {
     dwell.role = DwellRole::kCheck;
     dwell.commanded_x = pose.x;
     dwell.commanded_z = pose.z;
+    take_turns_of_encoder(row, dwell);
     record_.check_poses.push_back({std::move(dwell), record_.dwells.size()});
   }
 
@@ -468,6 +486,47 @@ class Importer {
       problem(fmt::format("line {}", row.line), fmt::format("{} of u_u, u_v, u_w", given),
               "all three or none");
     }
+  }
+
+  /// Drift, hysteresis and slow noise depend on the order of measurement.
+  void read_row_order() {
+    constexpr const char* kKey = "row_order";
+    const bool timed = std::ranges::all_of(record_.dwells,
+                                           [](const DwellRecord& dwell) { return dwell.time_s.has_value(); });
+    const auto stated = metadata_.find(kKey);
+    record_.order_assumed = !timed && stated == metadata_.end();
+    if (stated != metadata_.end() && stated->second != "time")
+      problem(place_of(kKey), as_quoted(stated->second), "time: the rows are in the order of measurement");
+  }
+
+  /// Angles of whole circles that are parts of 2 pi are radians: read as degrees, they would look like
+  /// missed steps.
+  void refuse_radians() {
+    std::vector<double> angles;
+    for (const DwellRecord& dwell : record_.dwells) angles.push_back(std::abs(dwell.alpha.deg()));
+    std::ranges::sort(angles);
+    constexpr double kTurn = 2.0 * std::numbers::pi;
+    // A circle of N angles ends at 2 pi (N - 1) / N, or at its closing angle.
+    if (angles.empty() || angles.back() < 0.6 * kTurn || angles.back() > 1.01 * kTurn) return;
+    constexpr double kWritten = 5e-3;  // Angles are often written with two decimals.
+    double step = kTurn;
+    for (std::size_t i = 1; i < angles.size(); ++i)
+      if (const double apart = angles[i] - angles[i - 1]; apart > 2.0 * kWritten)
+        step = std::min(step, apart);
+    step = kTurn / std::round(kTurn / step);
+    const bool parts_of_turn = std::ranges::all_of(angles, [&](double angle) {
+      return std::abs(angle - step * std::round(angle / step)) <= 1.01 * kWritten;
+    });
+    const bool whole_degrees =
+        std::ranges::all_of(angles, [](double angle) { return angle == std::round(angle); });
+    if (!parts_of_turn || whole_degrees) return;
+    constexpr double kDegrees = 360.0 / kTurn;
+    problem(
+        "column alpha_deg",
+        fmt::format("angles from 0 to {:.4g}, {:.4g} apart: parts of 2 pi, so they are radians; {:.4g} is "
+                    "{:.4g} degrees",
+                    angles.back(), step, angles.back(), kDegrees * angles.back()),
+        "degrees: multiply every angle by 180/pi");
   }
 
   void infer_steps() {

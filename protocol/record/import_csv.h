@@ -27,12 +27,13 @@ class CsvError : public std::runtime_error {
 /// `flags` (bits of DwellFlag) and `closing` (0 or 1); columns in any order, others ignored; `#` begins a
 /// comment line. RFC 4180 quotes; comma, or semicolon with decimal comma; LF or CRLF; a byte order mark is
 /// skipped. Without a column `closing`, an alpha of 360 degrees is the closing angle if the same experiment
-/// has an alpha of 0. Missing angles are allowed: the analysis says whether the rest determines the fit.
+/// has an alpha of 0. Missing angles are allowed: the analysis reports whether the rest determines the fit.
 /// Encoder angles are absent.
 ///
 /// Comments "# key: value" hold the data without columns, with the keys of a run file's table `meta`:
 /// `response_unit` (names R), `g_loc.*`, `tolerances.*`, `alignment.*`, `protocol.step_deg` and
-/// `protocol.steps`, `continuations`. Absent entries have their defaults; g_loc is then not known.
+/// `protocol.steps`, `continuations`, `row_order: time` (without times: the rows are in the order of
+/// measurement). Absent entries have their defaults; g_loc is then not known.
 /// @throws CsvError with every problem: missing or repeated column, text in a number or in
 ///         a comment that must hold a number, not finite, repeated row,
 ///         unknown experiment, too few angles in an experiment (3 are needed)

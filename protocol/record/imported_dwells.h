@@ -10,7 +10,7 @@ namespace abcal {
 
 // Common steps of all imports of averaged readings whose experiment, n and alpha are known.
 
-/// The default orientation turned as the experiment says (docs/theory/model.md), modulo a full turn.
+/// The default orientation turned as the experiment requires (docs/theory/model.md), modulo a full turn.
 void set_commanded_angles(DwellRecord& dwell);
 
 /// The last angle of a circle that repeats the first one a full turn later is its closing angle.

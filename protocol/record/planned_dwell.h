@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// The dwell at an angle of the plan, as far as it is known before it is measured.
+/// The dwell at an angle of the plan, with the members that are known before the measurement.
 inline DwellRecord planned_dwell(const PlannedAngle& angle) {
   DwellRecord dwell;
   dwell.experiment = angle.experiment;

@@ -24,7 +24,7 @@ ReadingStatistics reading_statistics(std::span<const Eigen::Vector3d> outputs, d
 ReadingStatistics mean_and_spread(std::span<const Eigen::Vector3d> outputs);
 
 /// How many independent readings carry as much as these (autocorrelation time summed over the lags up to the
-/// first that does not stand out of the noise, 2/sqrt(n)). Between 1 and n. Takes a time of n log n.
+/// first that does not exceed the noise, 2/sqrt(n)). Between 1 and n. Takes a time of n log n.
 double effective_number_of_readings(std::span<const double> values);
 
 }  // namespace abcal

@@ -121,7 +121,7 @@ namespace {
 
 std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
   std::vector<IssuedCertificate> certificates;
-  // Results of before certificates were issued have no such table.
+  // Results from before the first certificates do not have this table.
   if (!database.has_table("certificate")) return certificates;
   const bool knows_items = database.has_column("certificate", "item");
   SqliteStatement rows = database.prepare("select * from certificate order by id");

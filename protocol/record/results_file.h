@@ -38,7 +38,7 @@ class ResultsFile {
   /// @throws RunFileError
   static void begin(const std::filesystem::path& run_path);
 
-  /// Opens the results of a closed run; they name its hash. Where they are missing, which begin() had made,
+  /// Opens the results of a closed run; they name its hash. If results that begin() had made are missing,
   /// they are made again, with a note.
   /// @throws RunFileError also where they belong to another run
   ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256);

@@ -88,7 +88,7 @@ void make_read_only(const std::filesystem::path& path) {
   std::filesystem::permissions(path, writing, std::filesystem::perm_options::remove);
 }
 
-/// Only in a run that went on without an item; made then. The event says why.
+/// Made only in a run that continued without an item. The event gives the reason.
 constexpr const char* kDropSchema =
     "create table if not exists item_drop(item integer primary key references item,"
     " position integer not null, event integer not null references event)";
@@ -164,7 +164,7 @@ Continuation continue_after(const LastSession& last, const SessionStart& start) 
       next.step = clock_step({*before.begun, since_boot}, {*start.utc, *start.host.since_boot});
   } else if (before.begun && start.utc) {
     origin_ns = before.origin_ns + (*start.utc - *before.begun).count();
-    // A simulated clock begins where the session before began: it is no step.
+    // A simulated clock begins where the session before began: this is not a step.
     if (*origin_ns < last.end_ns && !start.host.boot_id.empty())
       next.step = Clock::Duration(*origin_ns - last.end_ns);
   }
@@ -230,20 +230,6 @@ std::string format_utc(Clock::UtcTime time) {
                      (milliseconds - seconds).count());
 }
 
-std::string_view to_string(RunState state) {
-  switch (state) {
-    case RunState::kRunning:
-      return "running";
-    case RunState::kInterrupted:
-      return "interrupted";
-    case RunState::kComplete:
-      return "complete";
-    case RunState::kAbandoned:
-      return "abandoned";
-  }
-  return "unknown";
-}
-
 namespace {
 
 /// Lets commits return before they reach the disk, while it lives: a power cut may take back the last of
@@ -259,7 +245,7 @@ class WithoutWaitingForDisk {
     try {
       database_.execute(kWaitForDisk);
     } catch (const RunFileError&) {
-      // Only without memory: the next statement fails as well, and says so.
+      // Only without memory: the next statement fails as well, and reports it.
     }
   }
 
@@ -416,7 +402,7 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
 
 RunFile RunFile::open_for_append(const std::filesystem::path& path) {
   {
-    // Looked at without writing: even opening a closed run to write would change its bytes.
+    // Read only: even opening a closed run for writing would change its bytes.
     SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
     const RunState state =
         run_state_from(database.value("select value from meta where key='state'").value_or(""));
@@ -620,12 +606,12 @@ std::optional<std::string> RunFile::close(const TryAgain& try_again) {
   } catch (const RunFileError&) {
     // The run takes precedence. The step that stores the first analysis tries again, and reports the error.
   }
-  // The log is folded into the file, for which SQLite wants it alone, and does not wait by itself.
+  // The log is merged into the file, for which SQLite needs exclusive access, and does not wait for it.
   for (int failures = 1; !impl_->database.execute_unless_busy("pragma journal_mode=delete"); ++failures) {
     if (!try_again(failures)) return std::nullopt;
   }
   impl_.reset();
-  // All is in the file now; but SQLite does not say if it could not remove its log.
+  // All is in the file now; but SQLite does not report if it could not remove its log.
   std::error_code ignored;
   std::filesystem::remove(path.string() + "-wal", ignored);
   make_read_only(path);
@@ -671,6 +657,7 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
   record.step = header.step;
   record.steps = header.steps;
   record.approach = header.approach;
+  record.axes_order = header.axes_order;
   read_counting_dwells(database, item, [&](std::size_t position, DwellRecord dwell) {
     run.measured.push_back(position);
     run.dwells.push_back(dwell);
@@ -683,7 +670,7 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
   SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
   while (events.step()) {
     run.events.push_back({events.text("utc"), events.text("kind"), events.text("text")});
-    // set_state() wrote it when the run went on.
+    // set_state() wrote it when the run continued.
     if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
     if (run.events.back().kind == kReconnectedEvent) ++record.reconnections;
   }

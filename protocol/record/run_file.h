@@ -58,7 +58,7 @@ struct RunItem {
   std::optional<double> full_scale;  ///< Response unit.
   std::optional<double> resolution;  ///< Response unit.
   /// Correction registers in force at the start (bias, scale, misalignment ...), by name, as the instrument
-  /// said.
+  /// reported.
   std::map<std::string, std::string> registers;
 };
 
@@ -79,7 +79,7 @@ struct HostClock {
   std::optional<double> error_s;              ///< Its bound of the error of the system clock.
 };
 
-/// When, by which clocks and by which program measuring begins, or goes on.
+/// The time, clocks and program with which measuring begins or continues.
 struct SessionStart {
   std::optional<Clock::UtcTime> utc;        ///< UTC of the system clock.
   std::optional<Clock::Instant> monotonic;  ///< The same moment by the clock of the run.
@@ -122,6 +122,7 @@ struct RunHeader {
   int steps = 72;
   /// From how far below every angle is reached; 0: from either side. Absent: files of before version 1.0.
   std::optional<Angle> approach;
+  AxesOrder axes_order = AxesOrder::kXThenZ;  ///< Files of before version 1.2 do not state it.
   std::vector<PlannedAngle> plan;
 };
 
@@ -133,13 +134,13 @@ struct StoredReading {
   std::optional<double> temperature_degc;
 };
 
-/// The kind of the event that says that a port which had vanished is back; the analysis counts them.
+/// The kind of the event that reports the return of a port that had vanished; the analysis counts them.
 inline constexpr std::string_view kReconnectedEvent = "reconnected";
-/// The kind of the event that says that the run went on without an item.
+/// The kind of the event that reports that the run continued without an item.
 inline constexpr std::string_view kItemDroppedEvent = "item dropped";
-/// The kind of the event that says which person has taken note of the interruption of the run.
+/// The kind of the event that names the person who has taken note of the interruption of the run.
 inline constexpr std::string_view kAcknowledgedEvent = "alarm acknowledged";
-/// The kind of the event that says that the system clock was moved.
+/// The kind of the event that reports that the system clock was moved.
 inline constexpr std::string_view kClockStepEvent = "clock step";
 
 /// One observation of the room.
@@ -191,13 +192,12 @@ struct WireTranscript {
 struct ItemProgress {
   int k = 1;
   std::size_t measured = 0;  ///< Angles.
-  /// The angle, by its position in the plan, before which the run went on without it; absent: it was not
-  /// dropped.
+  /// The angle, by its position in the plan, before which it was dropped from the run; absent: it was not.
   std::optional<std::size_t> dropped_at;
   std::string reason;  ///< Why it was dropped.
 };
 
-/// Where an encoder said that an axis was while it turned.
+/// An encoder angle of an axis while it turned.
 struct EncoderSample {
   double time_s = 0.0;  ///< On the scale of DwellRecord::time_s.
   double angle_deg = 0.0;
@@ -232,7 +232,7 @@ struct StoredRun {
   std::vector<RunEvent> events;
   std::vector<StoredEnvironment> environment;
 
-  /// The item whose record it is, and how far that item was measured.
+  /// The item of the record, and the extent of its measurement.
   const RunItem& own_item() const { return header.items.at(static_cast<std::size_t>(item) - 1); }
   const ItemProgress& own_progress() const { return items.at(static_cast<std::size_t>(item) - 1); }
   /// The item as results files and certificates name it: 0 where the run has one.
@@ -259,10 +259,10 @@ class RunFile {
   /// Reads a run in any state, for one of its items.
   static StoredRun load(const std::filesystem::path& path, int item = 1);
 
-  /// Like load(), for every item of a run in their order; damage is searched for once.
+  /// Like load(), for every item of a run in their order; the file is checked for damage once.
   static std::vector<StoredRun> load_items(const std::filesystem::path& path);
 
-  /// How many items a run has. Nothing else is read, and no damage is looked for.
+  /// The number of items of a run. Nothing else is read, and the file is not checked for damage.
   static std::size_t count_items(const std::filesystem::path& path);
 
   /// Gives every dwell of an item (0: of all) with its readings to `each`, one after the other in the order
@@ -288,7 +288,7 @@ class RunFile {
   bool in_session() const;
   /// True time from the beginning of the first session to an instant of this one: DwellRecord::time_s.
   double time_s(Clock::Instant instant) const;
-  /// UTC of an instant of this session, which goes on evenly however the system clock is moved.
+  /// UTC of an instant of this session, which advances evenly even if the system clock is moved.
   Clock::UtcTime utc(Clock::Instant instant) const;
   /// UTC of now: as utc() in a session that knows it, else by the system clock.
   Clock::UtcTime utc_now(const Clock& clock) const;
@@ -323,14 +323,14 @@ class RunFile {
   void append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells, const RunTiming& timing);
   /// Commits a sweep: all of its angles are on the disk, or none is.
   void append_sweep(std::span<const PassedAngle> angles, const RunTiming& timing);
-  /// The run goes on without an item, from the angle at a position of the plan on.
+  /// The run continues without an item, from the angle at a position of the plan on.
   void drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why);
   void append_event(const std::string& utc, std::string_view kind, std::string_view text);
   void append_environment(const std::string& utc, std::string_view when,
                           std::optional<double> temperature_degc, std::optional<double> humidity_percent,
                           std::optional<double> pressure_hpa);
 
-  /// Sets the state and says why in an event.
+  /// Sets the state and gives the reason in an event.
   void set_state(RunState state, const std::string& utc, std::string_view why);
 
   /// Called each time that another program, which reads the run, prevents closing, with the number of times
@@ -339,8 +339,8 @@ class RunFile {
   /// Waits 50 ms; 10 s in all.
   static bool wait_for_readers(int failures);
 
-  /// All angles are measured: on return the disk says so, with the last links of the chains (table `seal`).
-  /// The run can be loaded and analysed from now on.
+  /// All angles are measured: on return this is on the disk, with the last links of the chains (table
+  /// `seal`). The run can be loaded and analysed from now on.
   void complete(const std::string& utc, const RunTiming& timing);
 
   /// Closes a run that is complete: checkpoint, one single file again, read-only. Its results are begun.

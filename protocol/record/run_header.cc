@@ -4,10 +4,11 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <map>
 #include <utility>
 
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/limits_entries.h"
@@ -52,6 +53,7 @@ std::map<std::string, std::string> facts_of(const RunHeader& header) {
   };
   if (!header.stage_record.empty()) meta["stage_record"] = header.stage_record;
   if (header.approach) meta["protocol.approach_deg"] = shortest(header.approach->deg());
+  meta["protocol.axes_order"] = to_string(header.axes_order);
   for (const auto& [name, member] : kAlignments) {
     const std::optional<MeasuredValue>& measured = header.measured_alignment.*member;
     if (!measured) continue;
@@ -170,12 +172,8 @@ class Facts {
   }
   double real(const std::string& key) const {
     const std::string value = text(key);
-    double number = 0.0;
-    const char* end = value.data() + value.size();
-    // All of the text, and no sign but "-": "9.8x" is no number.
-    if (std::from_chars(value.data(), end, number) != std::from_chars_result{end, std::errc{}})
-      throw RunFileError(source_ + ": meta \"" + key + "\" is \"" + value + "\", not a number");
-    return number;
+    if (const auto number = pieces::number<double>(value)) return *number;
+    throw RunFileError(source_ + ": meta \"" + key + "\" is \"" + value + "\", not a number");
   }
 
  private:
@@ -217,6 +215,8 @@ void read_facts(const Facts& facts, const std::string& prefix, RunHeader& header
   header.steps = static_cast<int>(facts.real("protocol.steps"));
   header.stage_record = optional_text("stage_record").value_or("");
   if (const auto deg = optional_real("protocol.approach_deg")) header.approach = Angle::degrees(*deg);
+  if (const auto order = optional_text("protocol.axes_order"))
+    header.axes_order = axes_order_named(*order).value_or(AxesOrder::kTogether);  // The way is not known.
   const std::string own = prefix + std::string(kItemLabelPrefix);
   for (const auto& [key, value] : facts.all()) {
     if (key.starts_with(own)) {
@@ -344,11 +344,17 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
   header.items = items_of(header);
 }
 
+constexpr auto kStates = names<RunState>({{RunState::kRunning, "running"},
+                                          {RunState::kInterrupted, "interrupted"},
+                                          {RunState::kComplete, "complete"},
+                                          {RunState::kAbandoned, "abandoned"}});
+
+std::string_view to_string(RunState state) {
+  return kStates.of(state, "unknown");
+}
+
 RunState run_state_from(const std::string& word) {
-  for (const RunState state :
-       {RunState::kRunning, RunState::kInterrupted, RunState::kComplete, RunState::kAbandoned}) {
-    if (word == to_string(state)) return state;
-  }
+  if (const auto state = kStates.value(word)) return *state;
   throw RunFileError("a run in the state \"" + word + "\", which this program does not know");
 }
 

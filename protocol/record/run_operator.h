@@ -26,8 +26,8 @@ inline constexpr const char* kCalibrationsLabel = "laboratory.calibrations";
 /// Notes in the event log of a run who operates from now on. Does nothing if no operator is stated.
 void note_operator(RunFile& file, const RunOperator& who, const std::string& utc);
 
-/// The operators of a run, each once, in the order in which they came, as its events say. Runs of before have
-/// only the name of their bench file.
+/// The operators of a run, each once, in order of their first event. Older runs have only the name of their
+/// bench file.
 std::vector<RunOperator> operators_of(const StoredRun& run);
 
 /// "Operator N. N." or "Operator N. N. (stated, not verified)"; several are joined.

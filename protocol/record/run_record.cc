@@ -4,32 +4,22 @@
 #include <array>
 #include <utility>
 
+#include "drivers/text/names.h"
 #include "protocol/plan/backlash.h"
 
 namespace abcal {
-namespace {
 
-constexpr std::array<std::pair<DwellRole, std::string_view>, 4> kRoleWords{{
-    {DwellRole::kPlan, "plan"},
-    {DwellRole::kReturn, "return"},
-    {DwellRole::kClosing, "closing"},
-    {DwellRole::kCheck, "check"},
-}};
-
-}  // namespace
+constexpr auto kRoles = names<DwellRole>({{DwellRole::kPlan, "plan"},
+                                          {DwellRole::kReturn, "return"},
+                                          {DwellRole::kClosing, "closing"},
+                                          {DwellRole::kCheck, "check"}});
 
 std::string_view to_string(DwellRole role) {
-  for (const auto& [known, word] : kRoleWords) {
-    if (known == role) return word;
-  }
-  return "unknown";
+  return kRoles.of(role, "unknown");
 }
 
 std::optional<DwellRole> dwell_role_from(std::string_view word) {
-  for (const auto& [role, known] : kRoleWords) {
-    if (known == word) return role;
-  }
-  return std::nullopt;
+  return kRoles.value(word);
 }
 
 std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record) {

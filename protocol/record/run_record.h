@@ -12,6 +12,7 @@
 
 #include "drivers/instrument/angle.h"
 #include "protocol/plan/limits.h"
+#include "protocol/plan/run_config.h"
 #include "protocol/plan/tolerances.h"
 
 namespace abcal {
@@ -21,7 +22,7 @@ enum DwellFlag : std::uint32_t {
   kFlagNone = 0,
   kFlagNotQuiet = 1U << 0,       ///< The accelerometer had not become quiet at the longest wait.
   kFlagLostReadings = 1U << 1,   ///< Readings were lost during the dwell.
-  kFlagClipped = 1U << 2,        ///< An output was at full scale, or the instrument said so.
+  kFlagClipped = 1U << 2,        ///< An output was at full scale, or the instrument reported it.
   kFlagStuck = 1U << 3,          ///< An output did not change at all during the dwell.
   kFlagNotFinite = 1U << 4,      ///< Readings that were not finite were left out.
   kFlagOutsideWindow = 1U << 5,  ///< The encoder left the position window during the dwell.
@@ -65,7 +66,7 @@ struct DwellRecord {
   DwellRole role = DwellRole::kPlan;  ///< kPlan with `closing` set means kClosing: RunFile stores it so.
   Angle alpha;                        ///< Desired rotation angle.
   Angle commanded_x, commanded_z;     ///< Angles of the plan: alpha or the held angle, by whole turns.
-  std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
+  std::optional<Angle> encoder_x, encoder_z;  ///< Absent for an imported CSV.
   /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
   /// in it. (In run files of version 2 they are not.)
   std::optional<double> time_s;
@@ -80,7 +81,7 @@ struct DwellRecord {
   std::optional<double> temperature_degc;
   std::uint32_t flags = kFlagNone;
   int face = 1;                       ///< 1 or 2 (protocol/plan/faces.h).
-  std::optional<DwellMotion> motion;  ///< Absent: the stage stood.
+  std::optional<DwellMotion> motion;  ///< Absent: at rest.
 };
 
 /// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
@@ -89,7 +90,7 @@ struct CheckDwell {
   std::size_t after = 0;  ///< Number of RunRecord::dwells measured before it.
 };
 
-/// Local gravity at the bench, with where it comes from.
+/// Local gravity at the bench, with its source.
 struct LocalGravity {
   double value_mps2 = 9.80665;
   double expanded_uncertainty_mps2 = 0.0;  ///< U = k u.
@@ -111,7 +112,7 @@ struct MeasuredAlignment {
   std::optional<MeasuredValue> zx, zy, xz;  ///< 1
 };
 
-/// Whether the alignment that an effect ("Zx", "Zy", "Xz") stands for was measured otherwise.
+/// Whether the alignment of an effect ("Zx", "Zy", "Xz") was measured by other means.
 inline bool is_measured(const MeasuredAlignment& alignment, std::string_view effect) {
   return (effect == "Zx" && alignment.zx) || (effect == "Zy" && alignment.zy) ||
          (effect == "Xz" && alignment.xz);
@@ -127,7 +128,7 @@ struct StageRecordInUse {
 
 /// Everything that the analysis may know of a run. A stored run, an imported CSV and a live run are all this.
 struct RunRecord {
-  std::string source;               ///< File it came from, for messages.
+  std::string source;               ///< Its file, for messages.
   std::string response_unit = "R";  ///< Unit of the readings.
   LocalGravity g_loc;
   bool g_loc_known = false;  ///< False: a CSV without a bench file; results are per g_loc.
@@ -144,9 +145,14 @@ struct RunRecord {
   /// From how far below every angle was reached; 0: from either side. Absent: not stated (CSV, files of
   /// before version 1.0).
   std::optional<Angle> approach;
-  int continuations = 0;                ///< How often the run was interrupted and went on.
-  int reconnections = 0;                ///< How often a port vanished, came back, and the run went on.
-  std::vector<DwellRecord> dwells;      ///< In the order of measurement, closing angles included.
+  /// In which order the axes moved from angle to angle. Absent: not stated (CSV).
+  std::optional<AxesOrder> axes_order;
+  int continuations = 0;            ///< Number of times that the run was interrupted and continued.
+  int reconnections = 0;            ///< Number of times that a port vanished and returned, and the run
+                                    ///< continued.
+  std::vector<DwellRecord> dwells;  ///< In the order of measurement, closing angles included.
+  /// The file has no times and does not state that its rows are in the order of measurement.
+  bool order_assumed = false;
   std::vector<CheckDwell> check_poses;  ///< In the order of measurement; empty where none were planned.
 };
 

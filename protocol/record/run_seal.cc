@@ -22,7 +22,7 @@ SqliteDatabase open_results(const std::filesystem::path& run_path, SqliteDatabas
 RunSeal read_seal(const std::filesystem::path& run_path) {
   if (!has_results(run_path)) return {};
   SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadOnly);
-  // Results that abcal 0.1 began have no such columns.
+  // Results that abcal 0.1 began do not have these columns.
   if (database.value("select count(*) from pragma_table_info('run') where name = 'signer'") == "0") return {};
   SqliteStatement row = database.prepare("select signer, signature, time_stamp from run");
   if (!row.step()) return {};

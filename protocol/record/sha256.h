@@ -12,8 +12,8 @@ struct evp_md_ctx_st;
 
 namespace abcal {
 
-/// SHA-256 of bytes that come piece by piece. Small pieces are gathered: the library's call for each of them
-/// takes longer than to hash it.
+/// SHA-256 of bytes that arrive piece by piece. Small pieces are collected: the library's call for each of
+/// them takes longer than to hash it.
 class Sha256 {
  public:
   Sha256();

@@ -178,8 +178,7 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
     throw_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory");
   }
   wait_at_most(patience_);
-  // A file may come from any source: its schema runs no functions but harmless ones, and cannot be written
-  // directly.
+  // A file may be from any source: its schema runs only harmless functions, and cannot be written directly.
   sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
 }
@@ -259,7 +258,7 @@ Transaction::~Transaction() {
   try {
     database_.execute("rollback");
   } catch (const RunFileError&) {
-    // SQLite has rolled back by itself already (a full disk does that); the first error is the one to report.
+    // SQLite has already rolled back (as with a full disk); the first error is the one to report.
   }
 }
 

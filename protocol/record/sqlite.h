@@ -22,7 +22,7 @@ class RunFileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// The disk did not read or write, which says nothing about the contents of the file and may pass.
+/// The disk did not read or write, which does not concern the contents of the file and may be temporary.
 class DiskError final : public RunFileError {
  public:
   using RunFileError::RunFileError;
@@ -36,7 +36,7 @@ class IdleStatements {
   IdleStatements(const IdleStatements&) = delete;
   IdleStatements& operator=(const IdleStatements&) = delete;
   ~IdleStatements();
-  /// Null if there is none with this text.
+  /// Null if no statement has this text.
   sqlite3_stmt* take(const std::string& sql);
   /// Resets it, so that it holds no lock and no value; finalises it if there is one of that text already.
   void put(const std::string& sql, sqlite3_stmt* statement);
@@ -105,23 +105,22 @@ class SqliteStatement {
   std::unique_ptr<sqlite3_stmt, PutBack> handle_;
 };
 
-/// An open SQLite database that says which file failed and how. One thread at a time may use it and its
+/// An open SQLite database whose errors name the file and the cause. One thread at a time may use it and its
 /// statements.
 class SqliteDatabase {
  public:
   enum class Mode { kReadOnly, kReadWrite, kCreate };
-  /// Waits up to 2 s for another connection that holds a lock, unless wait_at_most() says otherwise.
+  /// Waits up to 2 s for another connection that holds a lock, unless wait_at_most() sets another time.
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
   void wait_at_most(std::chrono::milliseconds patience);
-  /// Switches to a write-ahead log, for which SQLite does not wait by itself while another connection holds a
-  /// lock.
+  /// Switches to a write-ahead log, for which SQLite does not wait while another connection holds a lock.
   void use_write_ahead_log();
   void execute(const std::string& sql);
   /// Like execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), idle_, file_, sql}; }
-  /// The first column of the first row of a query; nothing if there is no row.
+  /// The first column of the first row of a query; nullopt if there is no row.
   std::optional<std::string> value(std::string_view sql);
   bool has_table(std::string_view name);
   bool has_column(std::string_view table, std::string_view column);

@@ -70,7 +70,7 @@ double stated_size(const EffectSizes& sizes, RepeatPart part);
 /// (radian), or of its growth.
 struct SizeFound {
   double most_probable = 0.0;
-  double rms = 0.0;  ///< Root of its mean square: the standard deviation of what is to come.
+  double rms = 0.0;  ///< Root of its mean square: the standard deviation of future values.
   double lower = 0.0, upper = std::numeric_limits<double>::infinity();  ///< Bounds of 95 %.
   /// Logarithm of the posterior density of the logarithm of the size, up to a constant, at ascending sizes;
   /// linear between them. Empty: half-normal with the root mean square `rms`.
@@ -123,10 +123,10 @@ struct StageRecord {
 
 /// The state after some months: as the record's, less well known.
 StageState state_after(const StageRecord& record, double months);
-/// After so many months growth alone may have changed the stage by half of its stated sizes (upper bound of
-/// the growth): from then on a record says little more than the statements.
+/// The time in which growth alone may change the stage by half of its stated sizes (upper bound of the
+/// growth): after it a record contains little more than the statements.
 double validity_months(const StageRecord& record);
-/// Differences that keep a record from being that of this stage, in words; empty: none.
+/// Differences that show that a record belongs to another stage, in words; empty: none.
 /// @param stage  as the bench has it; what is empty in either is not compared
 std::vector<std::string> differences(const StageIdentity& record, const StageIdentity& stage);
 

@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "drivers/text/letters.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
@@ -119,11 +120,9 @@ struct StatedDwell {
 StatedDwell stated_dwell(const SqliteStatement& row) {
   const auto vector = [&](const std::string& prefix) {
     Eigen::Vector3d value;
-    constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"};
-    for (int j = 0; j < 3; ++j) {
-      value[j] = row.optional_real(prefix + kOutputs.at(static_cast<std::size_t>(j)))
-                     .value_or(std::numeric_limits<double>::quiet_NaN());
-    }
+    for (int j = 0; j < 3; ++j)
+      value[j] =
+          row.optional_real(prefix + kOutputNames[j]).value_or(std::numeric_limits<double>::quiet_NaN());
     return value;
   };
   return {vector("r_"),
@@ -274,7 +273,7 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
   checks.push_back({"results file", is_sound, sound});
   checks.push_back(
       check_chain(database, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"}));
-  // Results of before certificates were issued have no such table.
+  // Results from before the first certificates do not have this table.
   if (database.has_table("certificate")) {
     checks.push_back(check_chain(database, "certificates", "certificate",
                                  {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",

@@ -19,7 +19,7 @@ struct IntegrityCheck {
 /// by their hash chains; means, spreads, standard uncertainties and flags by computing them again from the
 /// readings. A run that is not closed has no hash yet: that check is not good. Files of version 2
 /// chain no dwells.
-/// @throws RunFileError if the file is no run file at all.
+/// @throws RunFileError if the file is not a run file.
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run);
 
 /// Checks a run that is to be continued or closed: its chains, and that its means, spreads, standard

@@ -60,7 +60,7 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
 }
 
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
-              double spread_factor, double resolution) {
+              double spread_factor, double resolution, double drift) {
   const std::size_t n = window.size();
   if (n < 4) return true;
   const auto count = static_cast<double>(n);
@@ -79,7 +79,8 @@ bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector
     }
     const double squares = spread[j] * spread[j] * (count - 1.0);
     const double residual = std::sqrt(std::max(0.0, squares - slope * slope * sum_kk) / (count - 2.0));
-    const double slope_limit = std::max(t_limit * residual / std::sqrt(sum_kk), resolution / count);
+    const double slope_limit =
+        std::max(t_limit * std::hypot(residual / std::sqrt(sum_kk), drift * mean.norm()), resolution / count);
     // A reading that is not finite makes the comparison false, and the window not quiet.
     if (!(std::abs(slope) <= slope_limit)) return false;
     if (!usual_spread || std::isnan((*usual_spread)[j])) continue;

@@ -34,7 +34,9 @@ Eigen::Vector3d spread_of(std::span<const Reading> readings);
 /// Whether a window of readings shows neither a slope (Student's t of a least-squares line, at a false alarm
 /// in 1e5 windows) nor more spread than `spread_factor` times `usual_spread` (not checked where that is
 /// absent or NaN). Changes below `resolution` (R) never count.
+/// @param drift  standard deviation of the drift from one reading to the next, relative to the mean's norm,
+///               which is not motion
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
-              double spread_factor, double resolution);
+              double spread_factor, double resolution, double drift = 0.0);
 
 }  // namespace abcal

@@ -139,7 +139,7 @@ void DwellMeasurement::read(const ItemChannels::Channels& pending, Windows& wind
     place_at_sampling_times(window.readings, channel.context.accelerometer_info);
     if (window.readings.front().sequence != first) window.begin = window.readings.front().arrival;
     window.lost = channel.readings.lost() - window.lost;
-    // Beside other items it may have waited for its turn.
+    // With other items it may have waited for its turn.
     window.end = items_.several() ? window.readings.back().arrival : context_.clock.now();
   });
 }

@@ -22,11 +22,11 @@ class DwellMeasurement {
 
   /// Measures the angle at `position` in the plan, for all items that have not failed. It is measured again
   /// (limits: repeats), for the items concerned, where the readings spread or creep more than usual, an
-  /// output does not change at all, or an axis has left the position window. Outside its limits the
-  /// temperature is waited for (temperature_wait_s).
+  /// output does not change at all, or an axis has left the position window. If the temperature is outside
+  /// its limits, waits for it (temperature_wait_s).
   /// @return not yet in the run file, in the order of the items' numbers; without those that failed meanwhile
-  /// @throws InstrumentError kStalled: an axis does not stay; kImplausible: the temperature does not come
-  /// back, or readings that cannot be true. RunInterrupted.
+  /// @throws InstrumentError kStalled: an axis does not stay; kImplausible: the temperature does not return,
+  /// or readings that cannot be true. RunInterrupted.
   std::vector<ItemDwell> measure(std::size_t position, const PlannedAngle& angle);
 
  private:

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/model/effects.h"
 #include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
 #include "protocol/run/dwell_measurement.h"
@@ -36,7 +37,9 @@ class ExperimentRun {
         motion_(context, instruments.stage),
         measurement_(context, motion_, items_),
         sweeps_(context, motion_, items_),
-        recovery_(context, instruments, items_) {}
+        recovery_(context, instruments, items_) {
+    for (ItemChannel* channel : items_.active()) channel->context.drift_per_s = drift_per_s(channel->context);
+  }
 
   RunTiming run() {
     bool home_again = !measured_.empty();
@@ -66,6 +69,17 @@ class ExperimentRun {
   }
 
  private:
+  double drift_per_s(const RunContext& item) const {
+    const auto speed = [&](StageAxis axis) {
+      return AxisSpeed{context_.stage_info.axes[index(axis)].speed_deg_per_s};
+    };
+    const double run_s =
+        estimate_duration(plan_, context_.settings.protocol, {speed(StageAxis::kX), speed(StageAxis::kZ)},
+                          item.accelerometer_info.rate_hz)
+            .total_s();
+    return run_s > 0.0 ? largest_drift_rate(item.settings.tolerances) / run_s : 0.0;
+  }
+
   /// @param again  also if the controller still knows its reference: the axis may have been turned by hand
   void home(bool again) {
     for (const StageAxis axis : kStageAxes) {
@@ -78,7 +92,7 @@ class ExperimentRun {
     }
   }
 
-  /// Only they need to know when the outputs are quiet.
+  /// Noise at rest is learned only if the plan has dwells.
   bool has_dwells_at_rest() const {
     return std::ranges::any_of(plan_, [](const PlannedAngle& angle) { return angle.sweep == 0; });
   }
@@ -193,7 +207,7 @@ class ExperimentRun {
 
   void commit(std::size_t position, std::vector<ItemDwell>& measured) {
     const bool is_check = measured_.contains(position);  // The file has this angle already.
-    if (!is_check) flag_full_scale(position, measured);
+    if (!is_check) tell_full_scale(position, measured);
     context_.journal.check_system_clock();
     file_.append_dwells(position, measured, context_.stopwatch.timing());
     tell_stage_events();
@@ -204,7 +218,7 @@ class ExperimentRun {
 
   /// All angles of a sweep at once.
   void commit_sweep(std::vector<PassedAngle>& passed) {
-    for (PassedAngle& angle : passed) flag_full_scale(angle.position, angle.dwells);
+    for (PassedAngle& angle : passed) tell_full_scale(angle.position, angle.dwells);
     context_.journal.check_system_clock();
     file_.append_sweep(passed, context_.stopwatch.timing());
     tell_stage_events();
@@ -214,14 +228,13 @@ class ExperimentRun {
     }
   }
 
-  void flag_full_scale(std::size_t position, std::vector<ItemDwell>& measured) {
+  /// No angle is flagged: a whole circle shows the response, and the analysis judges it.
+  void tell_full_scale(std::size_t position, const std::vector<ItemDwell>& measured) {
     const bool last = position + 1 == plan_.size() || !is_same_circle(plan_[position + 1], plan_[position]);
-    for (ItemDwell& each : measured) {
+    for (const ItemDwell& each : measured) {
       ItemChannel& channel = items_.of(each.item);
-      if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last)) {
-        each.dwell.flags |= kFlagNorm;
+      if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last))
         channel.context.notify("full scale", *excess);
-      }
     }
   }
 
@@ -230,7 +243,7 @@ class ExperimentRun {
       context_.journal.notify(event.kind, event.text);
   }
 
-  /// Tells the observer of an angle that is on the disk.
+  /// Reports an angle that is on the disk to the observer.
   void tell(std::size_t position, std::vector<ItemDwell>& measured) {
     measured_.insert(position);
     context_.journal.dwells(position, measured);
@@ -258,7 +271,7 @@ class ExperimentRun {
     try {
       for (const StageAxis axis : kStageAxes) motion_.move_to(axis, Angle{});
     } catch (const InstrumentError& error) {
-      // All angles are measured: the run is complete all the same, but the operator must know.
+      // All angles are measured: the run is complete nevertheless, but the operator must know.
       const HaltOutcome halt = halt_stage(instruments_.stage);
       context_.journal.notify(
           "park failed", fmt::format("all angles are measured, but the stage could not be parked: {}; {}",

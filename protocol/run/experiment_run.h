@@ -61,12 +61,12 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// interruption: same instruments, the axes homed again if the stage was lost, the last angle measured
 /// again and compared, the angle under way repeated.
 ///
-/// If one of several items sends no more readings, or its port does not come back, it is dropped, and the run
+/// If one of several items sends no more readings, or its port does not return, it is dropped, and the run
 /// continues with the others. Readings of any item that cannot be true, or contradict gravity, end the run.
 ///
 /// If the run ends early, the stage is halted, the accelerometer stopped, and the run left interrupted with
 /// the reason in its file: the first cause, also where a halt made the call under way fail.
-/// @throws InstrumentError (its text says if the stage did not acknowledge the halt), RunFileError,
+/// @throws InstrumentError (its text reports if the stage did not acknowledge the halt), RunFileError,
 /// RunInterrupted.
 /// @return the time spent on each activity, `task.so_far.spent` included.
 RunTiming run_experiments(const RunInstruments& instruments, const RunTask& task, RunFile& file,

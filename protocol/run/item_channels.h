@@ -56,10 +56,10 @@ class ItemChannels {
   ItemChannel& of(int item) const;
   std::size_t size() const { return channels_.size(); }
 
-  /// Makes a call for each of some items that have not failed. One of several that fails so that the others
-  /// can go on without it has failed.
+  /// Makes a call for each of some items that have not failed. One of several counts as failed if the others
+  /// can continue without it.
   /// @throws InstrumentError that ends the run, or for which it waits: readings that cannot be true, another
-  /// instrument, a port that may come back
+  /// instrument, a port that may return
   void each(const Channels& channels, const std::function<void(ItemChannel&)>& call) const;
   void each(const std::function<void(ItemChannel&)>& call) const { each(active(), call); }
 

@@ -112,7 +112,7 @@ Clock::Instant Motion::wait_for_arrival(const Move& move, double expected_s) {
       stopped_outside.reset();
     } else {
       const Angle encoder = stage_.encoder_angle(move.axis);
-      // Written so that an encoder that says "not a number" is outside.
+      // Written so that an encoder angle that is not a number is outside.
       if (std::abs((encoder - move.target).deg()) <= move.window.deg()) {
         if (!stopped_inside) stopped_inside = now;
         stopped_outside.reset();
@@ -124,7 +124,7 @@ Clock::Instant Motion::wait_for_arrival(const Move& move, double expected_s) {
         if (to_seconds(now - *stopped_outside) > kStoppedOutsideWindowS) fail_outside_window(move, encoder);
       }
     }
-    // An axis that stands where it should has arrived in time, whatever a slow reply let the polls take.
+    // An axis at rest at its target has arrived in time, even if slow replies delayed the polls.
     if (now > deadline && !stopped_inside) fail_still_moving(move, to_seconds(now - begin), expected_s);
     context_.clock.wait_until(now + from_seconds(protocol.poll_interval_s));
   }

@@ -13,14 +13,14 @@
 
 namespace abcal {
 
-/// Where an encoder said that its axis was, in the middle between the question and its answer.
+/// An encoder angle, at the middle between the question and its answer.
 struct AngleSample {
   Clock::Instant at;
   double angle_deg = 0.0;
 };
 
-/// Moves the axes of the stage to the angles of the plan and waits until they stand there: every angle is
-/// approached from below, and the encoder must stay inside the position window.
+/// Moves the axes of the stage to the angles of the plan and waits until they are at rest there: every angle
+/// is approached from below, and the encoder must stay inside the position window.
 class Motion {
  public:
   /// Both must outlive this.
@@ -30,25 +30,25 @@ class Motion {
   /// @throws InstrumentError kStalled after homing_timeout_s, kNotReady: not found. RunInterrupted.
   void home(StageAxis axis);
 
-  /// Turns an axis to an angle, from below (a worm drive has backlash), and waits until it stands inside the
-  /// window.
-  /// @return when it was first found there; nothing if it had stood there already.
+  /// Turns an axis to an angle, from below (a worm drive has backlash), and waits until it is at rest inside
+  /// the window.
+  /// @return when it was first found there; nullopt if it was there already.
   /// @throws InstrumentError kStalled: it did not arrive, or stopped outside the window. RunInterrupted.
   std::optional<Clock::Instant> move_to(StageAxis axis, Angle target);
 
-  /// Turns an axis at a rate to an angle and waits until it stands there. The way to the rate belongs to the
+  /// Turns an axis at a rate to an angle and waits until it is at rest there. The acceleration belongs to the
   /// turn. @param look  called between two questions to the encoder
   /// @return the encoder's angles while it turned
   /// @throws InstrumentError as move_to(); kRefused: the stage cannot turn at this rate
   std::vector<AngleSample> sweep(StageAxis axis, Angle target, double rate_deg_per_s,
                                  const std::function<void()>& look);
 
-  /// Where the axes stand is not known any more: the next move_to() moves even to the same angle.
+  /// The positions of the axes are no longer known: the next move_to() moves even to the same angle.
   void forget_positions() { known_.fill(std::nullopt); }
 
   /// Whether both encoder angles are inside the position window around the commanded angles.
   bool is_inside_window(const PlannedAngle& angle, Angle encoder_x, Angle encoder_z) const;
-  /// As the encoders say now.
+  /// By the present encoder angles.
   bool is_inside_window(const PlannedAngle& angle);
 
   Angle encoder_angle(StageAxis axis) { return stage_.encoder_angle(axis); }

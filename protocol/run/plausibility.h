@@ -35,10 +35,17 @@ std::optional<std::string> temperature_excess(std::optional<double> temperature_
 /// @param nominal  R for one g_loc
 bool norm_is_wrong(const Eigen::Vector3d& mean, double nominal, const LimitsConfig& limits);
 
-/// The response to one g_loc from the angles of one experiment, free of offset and mounting: the root mean
-/// square of half the differences between angles 180 degrees apart. Absent unless at least three such pairs
-/// are spread evenly over the circle.
-std::optional<double> response_of_circle(std::span<const DwellRecord> experiment);
+/// The response to one g_loc that a circle shows. A cubic non-linearity makes the two differ; both may be
+/// what a maker calls the sensitivity.
+struct CircleResponse {
+  double at_zero = 0.0;   ///< From the slope at zero.
+  double at_one_g = 0.0;  ///< From the readings at the two extremes.
+};
+
+/// The response from the angles of one experiment, free of offset and mounting: from half the differences
+/// between angles 180 degrees apart, in which an even non-linearity cancels; their third harmonic shows the
+/// cubic one. Absent unless at least four such pairs are spread evenly over the circle.
+std::optional<CircleResponse> response_of_circle(std::span<const DwellRecord> experiment);
 
 /// Description of a wrong full scale; absent if it is as nominal.
 std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,

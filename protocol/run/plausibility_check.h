@@ -25,7 +25,7 @@ class PlausibilityCheck {
   /// Readings that cannot be true end the run; they are not averaged into a plausible number.
   /// @param read  Number of readings, those that are not finite included.
   /// @throws InstrumentError kImplausible: not finite, too many lost, the same three numbers at two angles;
-  /// with several items also a direction that is not that of gravity: the item may have come loose.
+  /// with several items also a direction that is not that of gravity: the item may be loose.
   void require_possible(const PlannedAngle& angle, const DwellStatistics& statistics, std::size_t read) const;
 
   /// Flags for a stuck output, spread above the usual, temperature, norm of the readings.

@@ -77,7 +77,7 @@ void ReadingSource::take_waiting() {
       waiting_.push_back(*std::move(reading));
     }
   } catch (const InstrumentError& error) {
-    failure_ = error;  // It is told when this one is read.
+    failure_ = error;  // It is reported when this one is read.
   }
 }
 

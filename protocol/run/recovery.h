@@ -10,8 +10,8 @@
 
 namespace abcal {
 
-/// Waits for ports that vanished and makes sure that the instrument that comes back has the same model and
-/// the same serial number, if it has one.
+/// Waits for ports that vanished and verifies that the instrument that returns has the same model and the
+/// same serial number, if it has one.
 class Recovery {
  public:
   /// All must outlive this.
@@ -25,8 +25,8 @@ class Recovery {
   /// again, so that it is at rest when the run continues.
   /// @param position  In the plan, for the observer.
   /// @return whether the axes must be homed again: the stage was lost, and may have lost its supply.
-  /// @throws InstrumentError kLinkLost: it did not come back, or vanished more often than max_replugs;
-  /// kWrongIdentity: another instrument came back; kNoReply: the stage does not acknowledge the halt.
+  /// @throws InstrumentError kLinkLost: it did not return, or vanished more often than max_replugs;
+  /// kWrongIdentity: another instrument returned; kNoReply: the stage does not acknowledge the halt.
   bool wait_for_ports(const InstrumentError& lost, std::size_t position);
 
  private:

@@ -135,6 +135,9 @@ struct RunContext {
   AccelerometerInfo accelerometer_info;
   int item = 1;                ///< Number in the run file.
   bool beside_others = false;  ///< The bench has several items.
+  /// Largest standard deviation, during the run, of the rate at which the outputs drift by the stated
+  /// effects, relative to S_j. 0: not known.
+  double drift_per_s = 0.0;
 
   RunContext(const StoppableClock& run_clock, RunSettings run_settings, const RunTiming& spent_before,
              RunFile& file, RunObserver& observer)

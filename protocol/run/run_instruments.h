@@ -14,12 +14,12 @@ namespace abcal {
 class Reconnector {
  public:
   virtual ~Reconnector() = default;
-  /// Whether the stage is one of those that are gone.
+  /// Whether the stage is lost.
   virtual bool stage_lost() const = 0;
   /// Opens the lost ports, with new drivers that have not identified their instruments yet.
   /// @throws InstrumentError kCannotOpen, kLinkLost: not all back yet; ports that are back stay open.
   virtual void reconnect() = 0;
-  /// Whether the accelerometer of an item is gone.
+  /// Whether the accelerometer of an item is lost.
   virtual bool item_lost(int /*item*/) const { return false; }
   /// reconnect() no longer tries to open this item's port.
   virtual void give_up_item(int /*item*/) {}

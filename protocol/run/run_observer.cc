@@ -1,29 +1,21 @@
 #include "protocol/run/run_observer.h"
 
+#include "drivers/text/names.h"
+
 namespace abcal {
 
+constexpr auto kPhases = names<RunPhase>({{RunPhase::kHoming, "homing"},
+                                          {RunPhase::kWarmingUp, "warming up"},
+                                          {RunPhase::kHolding, "held"},
+                                          {RunPhase::kMoving, "moving"},
+                                          {RunPhase::kSettling, "settling"},
+                                          {RunPhase::kDwelling, "reading"},
+                                          {RunPhase::kTemperature, "waiting for the temperature"},
+                                          {RunPhase::kReconnecting, "waiting for a port to come back"},
+                                          {RunPhase::kParking, "parking"}});
+
 std::string_view to_string(RunPhase phase) {
-  switch (phase) {
-    case RunPhase::kHoming:
-      return "homing";
-    case RunPhase::kWarmingUp:
-      return "warming up";
-    case RunPhase::kHolding:
-      return "held";
-    case RunPhase::kMoving:
-      return "moving";
-    case RunPhase::kSettling:
-      return "settling";
-    case RunPhase::kDwelling:
-      return "reading";
-    case RunPhase::kTemperature:
-      return "waiting for the temperature";
-    case RunPhase::kReconnecting:
-      return "waiting for a port to come back";
-    case RunPhase::kParking:
-      return "parking";
-  }
-  return "";
+  return kPhases.of(phase);
 }
 
 }  // namespace abcal

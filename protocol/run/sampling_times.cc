@@ -8,17 +8,19 @@
 #include <limits>
 #include <vector>
 
+#include "protocol/statistics/median.h"
+
 namespace abcal {
 namespace {
 
 constexpr std::size_t kLeastReadings = 16;
-/// Parts of a dwell, and those of them in which no reading need come near the line.
+/// Number of parts of a dwell, and how many of them need no reading near the line.
 constexpr std::size_t kParts = 8;
 constexpr std::ptrdiff_t kPartsWithout = 2;
 constexpr double kNearNs = 0.5e6;
 /// Time in which the clock of an instrument runs evenly, to some 0.01 ms.
 constexpr Clock::Duration kClockSpan = std::chrono::minutes(2);
-/// Length of the parts of that time whose least delays tell the clock.
+/// Length of the parts of that time whose least delays determine the clock.
 constexpr double kPartNs = 1e9;
 constexpr double kMostChangeNs = 0.2e6;
 
@@ -43,8 +45,8 @@ std::vector<Point> lower_hull(const std::vector<Point>& points) {
   return hull;
 }
 
-/// The slope of the hull's edge at the mean number: of all lines below the points the one along this edge has
-/// the least sum of distances.
+/// The slope of the hull's edge at the mean number. Of all lines below the points, the one through this hull
+/// edge minimises the summed distance.
 double period_ns(const std::vector<Point>& points) {
   double mean = 0.0;
   for (const Point& point : points) mean += point.number / static_cast<double>(points.size());
@@ -52,12 +54,6 @@ double period_ns(const std::vector<Point>& points) {
   std::size_t right = 1;
   while (right + 1 < hull.size() && hull[right].number < mean) ++right;
   return std::round(slope(hull[right - 1], hull[right]));
-}
-
-double median_of(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::ranges::nth_element(values, middle);
-  return *middle;
 }
 
 /// A line by Theil and Sen: the median of the slopes between all pairs, and of the distances from it.
@@ -79,17 +75,17 @@ MedianLine median_line(const std::vector<Point>& points) {
   for (std::size_t i = 0; i < points.size(); ++i)
     for (std::size_t k = 0; k < i; ++k) slopes.push_back(slope(points[k], points[i]));
   MedianLine line;
-  line.slope = median_of(std::move(slopes));
+  line.slope = median(std::move(slopes));
   std::vector<double> off;
   for (const Point& point : points) off.push_back(point.arrival_ns - line.slope * point.number);
-  line.height_ns = median_of(off);
+  line.height_ns = median(off);
   for (double& each : off) each = std::abs(each - line.height_ns);
-  line.u_ns = kMedianOverMean * kDeviationOverMedian * median_of(std::move(off)) /
+  line.u_ns = kMedianOverMean * kDeviationOverMedian * median(std::move(off)) /
               std::sqrt(static_cast<double>(points.size()));
   return line;
 }
 
-/// The reading with the least delay of each part of `length` readings. A rest that is shorter, with larger
+/// The reading with the least delay of each part of `length` readings. A shorter remainder, with larger
 /// delays, belongs to the part before it.
 std::vector<Point> least_delays(const std::vector<Point>& points, double period, std::size_t length) {
   const auto delay = [&](const Point& point) { return point.arrival_ns - period * point.number; };
@@ -184,7 +180,7 @@ std::optional<SamplingClock::Placed> SamplingClock::times_of(std::span<const Rea
     for (const Point& point : least)
       if (point.number >= first.number) off.push_back(point.arrival_ns - line.at(point.number));
     if (heard_.size() > readings.size() && !off.empty() &&
-        !(std::abs(median_of(std::move(off))) < kMostChangeNs)) {
+        !(std::abs(median(std::move(off))) < kMostChangeNs)) {
       hear_only(readings);
       continue;
     }

@@ -22,13 +22,13 @@ struct SamplingTimes {
   }
 };
 
-/// Fits the sampling times of one dwell to the arrivals of its readings. A reading arrives late by a share of
-/// the computer's own doings (its scheduler, buffers of the port), never early; so the line runs below all
-/// arrivals and as close to them as it can: the least sum of the delays (a linear programme, solved by the
-/// lower convex hull). What remains is the least delay of the link, which nobody sees from here.
+/// Fits the sampling times of one dwell to the arrivals of its readings. The computer (scheduler, buffers of
+/// the port) can delay the arrival of a reading, but never advance it; so the line is below all arrivals and
+/// minimises the sum of the delays (a linear programme, solved by the lower convex hull). The least delay of
+/// the link remains, which cannot be observed here.
 /// @param readings  of one stream, in order
-/// @return nothing where the readings do not follow such a line: fewer than 16, or in more than a quarter of
-/// the dwell none comes within half a period (or 0.5 ms) of it. Their arrivals then stand for themselves.
+/// @return nullopt if the readings do not follow such a line: fewer than 16, or in more than a quarter of the
+/// dwell none is within half a period (or 0.5 ms) of it. Their arrivals are used then.
 std::optional<SamplingTimes> fit_sampling_times(std::span<const Reading> readings);
 
 /// Keeps the delays of this computer out of the times of a stream's readings.
@@ -45,15 +45,15 @@ class SamplingClock {
     double u_s = 0.0;
   };
 
-  /// Keeps the arrivals of readings, which follow those heard before.
+  /// Keeps the arrivals of readings, which follow those received before.
   void hear(std::span<const Reading> readings);
 
   /// The sampling times of the readings of one sweep. The line is that of Theil and Sen (P. K. Sen, J. Am.
   /// Stat. Assoc. 63, 1379, 1968) through the least delay of each second of the last two minutes, so that no
-  /// single arrival moves it. Readings before a gap in the numbers have no part in it, and none but those of
-  /// the sweep where these lie off it by more than 0.2 ms: the clock has changed.
-  /// @param readings  those heard last
-  /// @return nothing where fit_sampling_times() has none
+  /// single arrival moves it. Readings before a gap in the numbers are not used; if those of the sweep are
+  /// off the line by more than 0.2 ms, only they are used: the clock has changed.
+  /// @param readings  the last received ones
+  /// @return nullopt as fit_sampling_times()
   std::optional<Placed> times_of(std::span<const Reading> readings);
 
  private:

@@ -11,6 +11,7 @@
 #include "protocol/run/dwell.h"
 #include "protocol/run/plausibility.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -70,16 +71,13 @@ std::optional<Eigen::Vector3d> SpreadHistory::median() const {
   if (empty_) return std::nullopt;
   Eigen::Vector3d median = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
   for (std::size_t j = 0; j < 3; ++j) {
-    std::vector<double> values = spreads_[j];
-    if (values.empty()) continue;
-    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    median[static_cast<Eigen::Index>(j)] = *middle;
+    if (!spreads_[j].empty()) median[static_cast<Eigen::Index>(j)] = abcal::median(spreads_[j]);
   }
   return median;
 }
 
-Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info) {
+Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info,
+                         double drift_per_s) {
   const std::size_t quarter = readings.size() / 4;
   Eigen::Vector3d creep = Eigen::Vector3d::Zero();
   if (quarter == 0) return creep;
@@ -90,8 +88,12 @@ Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerI
   const double of_no_account = kNoCreep * later.mean.norm();
   // Variance of a mean of n of N readings: u^2(later half) (N/2) / n; n is N/4 and 3N/4.
   const double scale = std::sqrt(8.0 / 3.0);
+  // The middles of both parts are half of the dwell apart.
+  const double apart_s = 0.5 * to_seconds(readings.back().arrival - readings.front().arrival);
+  const double drift = drift_per_s * apart_s * later.mean.norm();
   for (int j = 0; j < 3; ++j) {
-    if (std::abs(difference[j]) > of_no_account) creep[j] = difference[j] / (scale * later.u_mean[j]);
+    if (std::abs(difference[j]) > of_no_account)
+      creep[j] = difference[j] / std::hypot(scale * later.u_mean[j], drift);
   }
   return creep;
 }
@@ -172,8 +174,10 @@ void Settling::learn_noise() {
 }
 
 bool Settling::is_quiet_window(std::span<const Reading> window) const {
+  const double rate_hz = context_.accelerometer_info.rate_hz;
+  const double drift = rate_hz > 0.0 ? context_.drift_per_s / rate_hz : 0.0;
   return is_quiet(window, spreads_.median(), kQuietPart * context_.settings.limits.spread_factor,
-                  resolution());
+                  resolution(), drift);
 }
 
 bool Settling::settle(Clock::Instant stopped) {
@@ -224,7 +228,9 @@ Settling::Rest Settling::find_rest_by_outputs(Clock::Instant stopped) {
 
 bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   const ProtocolConfig& protocol = context_.settings.protocol;
-  const auto update_creep = [&] { creep_ = creep_of(readings, context_.accelerometer_info); };
+  const auto update_creep = [&] {
+    creep_ = creep_of(readings, context_.accelerometer_info, context_.drift_per_s);
+  };
   const auto creeps_beyond = [&](double limit) { return creep_.cwiseAbs().maxCoeff() > limit; };
   update_creep();
   if (!protocol.settle_auto) {

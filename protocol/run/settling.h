@@ -30,9 +30,11 @@ class SpreadHistory {
 
 /// Mean of the first quarter of a dwell's readings minus that of the others, over the standard uncertainty of
 /// this difference, output by output. The noise is taken from the later half, autocorrelation included. For
-/// an item that is still coming to rest it has one sign. Zero where the difference is below 1e-7 of the
-/// mean's norm.
-Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info);
+/// an item that still settles it has one sign. Zero where the difference is below 1e-7 of the mean's norm.
+/// @param drift_per_s  standard deviation of the rate of the stated drift (RunContext::drift_per_s), which
+/// is part of the uncertainty: drift is not settling
+Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info,
+                         double drift_per_s = 0.0);
 
 /// Learns from the dwells of a run how long the item needs to settle. A creep that is too small to be
 /// detected in one dwell follows the direction of the last change of an output: it adds up from angle to

@@ -34,7 +34,7 @@ class SweepMeasurement {
   struct Stream {
     std::vector<Reading> readings;
     std::uint64_t lost = 0;  ///< Counted by the driver.
-    Clock::Instant heard;    ///< When the last reading came.
+    Clock::Instant heard;    ///< Arrival of the last reading.
   };
   using Streams = std::map<int, Stream>;  ///< By number of the item.
 

@@ -13,13 +13,12 @@
 
 #include "protocol/linear/cholesky.h"
 #include "protocol/linear/products.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
 
-constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                            "phi_wu", "O_u", "O_v", "O_w"};
 /// 95 % of chi2 with one degree of freedom, and with two.
 constexpr double kOneMore = 3.841, kTwoMore = 5.991;
 /// Temperatures nearer than this are one: order of a polynomial, ways up and down.
@@ -67,7 +66,7 @@ Solution solve(const Series& series, int order, double excess_variance) {
   return solution;
 }
 
-/// The variance that brings chi2 down to its degrees of freedom (Paule and Mandel); 0 where it is there.
+/// The variance that reduces chi2 to its degrees of freedom (Paule and Mandel); 0 if it is already there.
 double excess_variance(const Series& series, int order) {
   const auto degrees = static_cast<double>(series.d.size() - order - 1);
   if (degrees < 1.0 || solve(series, order, 0.0).chi2 <= degrees) return 0.0;
@@ -256,7 +255,7 @@ StageTrend trend_of(const std::vector<TemperaturePoint>& points, double referenc
   return trend;
 }
 
-/// Where every run found the stage by itself, and there are points enough to judge a line by.
+/// Only if every run estimated the stage on its own, and there are enough points to test a line.
 std::vector<StageTrend> stage_trends(const std::vector<TemperaturePoint>& points, double reference_degc) {
   constexpr std::size_t kLeastPoints = 4;
   std::vector<StageTrend> trends;
@@ -396,11 +395,11 @@ TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double r
   const int most_order =
       std::min({kMostTemperatureOrder, temperatures - 1, static_cast<int>(result.points.size()) - 2});
   std::vector<TemperaturePolynomial> of_coefficients;
-  for (std::size_t k = 0; k < kNames.size(); ++k) {
+  for (std::size_t k = 0; k < kIntrinsicSymbols.size(); ++k) {
     const auto index = static_cast<Eigen::Index>(k);
     const Series series = series_of(result.points, reference_degc, index);
     TemperaturePolynomial polynomial = chosen_polynomial(series, std::max(0, most_order));
-    polynomial.name = kNames[k];
+    polynomial.name = kIntrinsicSymbols[k];
     polynomial.unit = unit_of(k, response_unit);
     // No slope is a value, too, and it has an uncertainty.
     of_coefficients.push_back(polynomial.order > 0 ? polynomial : polynomial_of(series, 1));
@@ -408,7 +407,7 @@ TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double r
     result.hysteresis.push_back(hysteresis_of(result.points, polynomial, index, reference_degc));
     result.polynomials.push_back(std::move(polynomial));
   }
-  for (std::size_t k = 0; k < kNames.size(); ++k) {
+  for (std::size_t k = 0; k < kIntrinsicSymbols.size(); ++k) {
     result.coefficients.push_back(
         coefficient_of(of_coefficients[k], k, result.polynomials[k % 3].coefficient[0],
                        result.least_degc - reference_degc, result.most_degc - reference_degc));

@@ -45,7 +45,7 @@ struct TemperaturePolynomial {
   double excess = 0.0;
   double chi2 = 0.0;  ///< Without the excess.
   int degrees_of_freedom = 0;
-  /// The part of the covariance that comes from the excess, which is estimated from the scatter alone.
+  /// The part of the covariance due to the excess, which is estimated from the scatter alone.
   Eigen::MatrixXd excess_covariance;
 
   double at(double from_t0) const;
@@ -80,9 +80,9 @@ struct TemperatureHysteresis {
   bool has_closure = false, has_both_ways = false;
 };
 
-/// A constant of the stage, which the joint fit of each run estimates by itself, over the item's temperature:
-/// the straight line of least squares. The uncertainty that all points share assumes the same stage at every
-/// point; this trend shows whether it is.
+/// A constant of the stage, which the joint fit of each run estimates separately, over the item's
+/// temperature: the straight line of least squares. The uncertainty that all points share assumes the same
+/// stage at every point; this trend shows whether it is.
 struct StageTrend {
   std::string name, unit;                          ///< "Zx", "1"; "d2", "degree"
   double slope = 0.0, standard_uncertainty = 0.0;  ///< Unit / K; type A, with the scatter of the points.

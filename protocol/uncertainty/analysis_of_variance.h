@@ -20,7 +20,7 @@ struct OneWayAnova {
   double f_probability = 0.0;  ///< P(F >= f) if the groups do not differ.
   double repeatability = 0.0;  ///< s_r: standard deviation within a group.
   /// s_L: standard deviation from group to group beyond the scatter of the means that the scatter within
-  /// groups causes; 0 where it is not seen.
+  /// groups causes; 0 if not detected.
   double between = 0.0;
   double reproducibility = 0.0;  ///< s_R = sqrt(s_r^2 + s_L^2): scatter of one observation of a new group.
   double mean_standard_uncertainty = 0.0;  ///< From both scatters (GUM H.5.2).
@@ -41,7 +41,7 @@ struct RunSpread {
   double standard_deviation = 0.0;  ///< s of the runs' values.
   double within = 0.0;              ///< Root mean square of the type A uncertainties.
   /// Standard deviation from run to run that type A does not explain, sqrt(s^2 - within^2): remounting,
-  /// drift, the stage's homing. 0 where it is not seen. The uncertainty of a single run has to hold it.
+  /// drift, the stage's homing. 0 if not detected. The uncertainty of a single run must contain it.
   double between = 0.0;
   double chi2 = 0.0;  ///< chi2 of the values about their weighted mean, with the type A uncertainties.
   double chi2_probability =

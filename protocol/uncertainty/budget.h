@@ -42,9 +42,9 @@ struct Budget {
   OutputVector combined = OutputVector::Zero();  ///< Root of the sum of squares of the contributions.
   /// The same of contribution_per_mps2: for sensitivities in SI units and per standard g.
   OutputVector combined_per_mps2 = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
-  OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Due to the inputs that Monte Carlo
-                                                                  ///< draws.
-  OutputCovariance covariance = OutputCovariance::Zero();         ///< Due to all lines.
+  /// Due to the inputs that Monte Carlo draws.
+  OutputCovariance type_b_covariance = OutputCovariance::Zero();
+  OutputCovariance covariance = OutputCovariance::Zero();  ///< Due to all lines.
   /// Covariance of s row by row and O due to everything but the inputs that Monte Carlo draws (alignment,
   /// turns, zeros, steps): readings, resolution, all other effects.
   Covariance12 other_covariance = Covariance12::Zero();

@@ -12,19 +12,14 @@
 namespace abcal {
 namespace {
 
-const Quantity& property(const CalibrationResult& result, std::size_t i) {
-  const auto& group = i < 3 ? result.intrinsic_sensitivity : i < 6 ? result.intrinsic_angle : result.offset;
-  return group[i % 3];
-}
-
 CampaignProperty summarise(std::span<const CalibrationResult> results, std::size_t i) {
   CampaignProperty out;
-  out.name = kIntrinsicNames[i];
-  out.unit = property(results.front(), i).unit;
+  out.name = kIntrinsicSymbols[i];
+  out.unit = intrinsic_property(results.front(), static_cast<Eigen::Index>(i)).unit;
   std::vector<double> values, type_a;
   double squares_b = 0.0;
   for (const CalibrationResult& result : results) {
-    const Quantity& q = property(result, i);
+    const Quantity& q = intrinsic_property(result, static_cast<Eigen::Index>(i));
     values.push_back(q.value);
     type_a.push_back(q.type_a.value_or(0.0));
     squares_b += q.type_b.value_or(0.0) * q.type_b.value_or(0.0);
@@ -57,15 +52,15 @@ CampaignSummary summarise_campaign(std::span<const CalibrationResult> results) {
       summary.why = fmt::format("{} is in {}, {} in {}", result.source, result.response_unit,
                                 results.front().source, results.front().response_unit);
     }
-    for (std::size_t i = 0; i < kIntrinsicNames.size() && summary.why.empty(); ++i) {
-      const Quantity& q = property(result, i);
+    for (std::size_t i = 0; i < kIntrinsicSymbols.size() && summary.why.empty(); ++i) {
+      const Quantity& q = intrinsic_property(result, static_cast<Eigen::Index>(i));
       if (!std::isfinite(q.value) || !(q.type_a.value_or(0.0) > 0.0))
-        summary.why =
-            fmt::format("{} does not give {} with its type A uncertainty", result.source, kIntrinsicNames[i]);
+        summary.why = fmt::format("{} does not give {} with its type A uncertainty", result.source,
+                                  kIntrinsicSymbols[i]);
     }
     if (!summary.why.empty()) return summary;
   }
-  for (std::size_t i = 0; i < kIntrinsicNames.size(); ++i) {
+  for (std::size_t i = 0; i < kIntrinsicSymbols.size(); ++i) {
     summary.properties.push_back(summarise(results, i));
   }
   return summary;

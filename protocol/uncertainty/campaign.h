@@ -13,7 +13,7 @@ namespace abcal {
 
 /// One of the nine properties that do not depend on mounting, over the runs of a campaign.
 struct CampaignProperty {
-  std::string name;  ///< "s_u", ... as kIntrinsicNames
+  std::string name;  ///< "s_u", ... as kIntrinsicSymbols
   std::string unit;
   /// Mean, spread between the runs, and the repeatability within them (root mean square of their type A).
   RunSpread spread;

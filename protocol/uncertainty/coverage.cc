@@ -58,7 +58,7 @@ struct Tails {
 };
 
 /// At least the `tail` smallest and largest values, and few more, in one pass: the limits come from every
-/// n-th value. Nothing where the tails are long or that sample is not like the whole.
+/// n-th value. Nullopt if the tails are long or the sample is not representative.
 std::optional<Tails> tails_of(std::span<const double> values, std::size_t tail) {
   constexpr std::size_t kSample = 4000;
   constexpr double kMargin = 4.0;  // standard deviations of a sample's rank

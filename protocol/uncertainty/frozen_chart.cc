@@ -13,7 +13,7 @@
 namespace abcal {
 namespace {
 
-constexpr int kCentres = 6, kSpreads = 12;  // Baselines that stand for all, with equal probability.
+constexpr int kCentres = 6, kSpreads = 12;  // Baselines that represent all, with equal probability.
 constexpr int kHalvings = 24;  // Bisections of an interval of limits: to 1e-5 of a standard deviation.
 constexpr double kWidestLimit = 100.0;  // Beyond it nothing would be seen.
 

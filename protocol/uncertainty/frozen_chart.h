@@ -22,7 +22,7 @@ struct ChartRules {
 
 /// How rarely a chart may be wrong.
 struct ChartDemand {
-  int baseline_runs = 0;  ///< From which centre and standard deviation come; at least 3.
+  int baseline_runs = 0;  ///< Runs for centre and standard deviation; at least 3.
   int rules = 1;  ///< Rules that judge each point, each of which may be wrong: properties times three.
   double run_length = 200;  ///< Points between two false alarms, all rules together; > 1.
   /// Share of baselines of this size with which the run length is reached at least.

@@ -8,6 +8,7 @@
 
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/shared/side_by_side.h"
+#include "protocol/uncertainty/certified_uncertainty.h"
 #include "protocol/uncertainty/joint_trials.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
@@ -111,6 +112,14 @@ void warn(JointComparison& joint, const std::string& unit, std::vector<std::stri
                     joint.solved_in_full, joint.largest_deviation));
 }
 
+void warn_of_larger(const CertifiedUncertainty& made, RunUncertainty& study) {
+  if (!made.any_larger()) return;
+  study.warnings.push_back(fmt::format(
+      "{}: with the truth drawn from this result, U by Monte Carlo ({} trials) is larger than the "
+      "stated one; a certificate states the larger (docs/certificate.md)",
+      made.larger(), made.trials));
+}
+
 }  // namespace
 
 RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptions& options) {
@@ -138,6 +147,8 @@ RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptio
   check_in_full(trials, study.combined, *study.joint);
   compare_with_stated(study.combined, *study.joint);
   warn(*study.joint, study.response_unit, study.warnings);
+  if (!study.interrupted)
+    warn_of_larger(certified_uncertainty(record, study.result, own, options.seed), study);
   if (study.combined.interval_method == IntervalMethod::kNone) return study;
   for (int k = 0; k < kStudyOutputs; ++k) {
     const Coverage& coverage = study.combined.coverage[static_cast<std::size_t>(k)];

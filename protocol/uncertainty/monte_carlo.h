@@ -27,7 +27,7 @@ struct MonteCarloOptions {
   /// framework).
   double tolerance_divisor = 1.0;
   std::uint64_t most_trials = 100'000'000;  ///< Limit at which an adaptive run ends without having converged,
-                                            ///< and says so.
+                                            ///< and reports it.
   unsigned threads = 0;                     ///< 0: as many as the machine has.
   double coverage_probability = 0.95;
   MonteCarloTeam* team = nullptr;  ///< Other processes that share the work; null: this one alone.
@@ -62,7 +62,7 @@ struct MonteCarloResult {
 /// Trials are made in blocks; a block's mean and scatter are merged in the order of the blocks (Chan, Golub &
 /// LeVeque), and counts are whole numbers, so the result is the same to the last bit for any number of
 /// threads. Up to 1e6 trials every value is kept and the intervals are exact; beyond, they come from a grid
-/// set by the first 1e4 trials (bins of 1e-3 u), and `note` says so. Under 300 MB for 18 outputs at any
+/// set by the first 1e4 trials (bins of 1e-3 u), which `note` reports. Under 300 MB for 18 outputs at any
 /// number of trials.
 /// @throws std::invalid_argument for 0 outputs, 0 or 1 trials, digits other than 1 or 2, p outside (0, 1).
 /// @throws std::runtime_error if a trial gives a value that is not finite.

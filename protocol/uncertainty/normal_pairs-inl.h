@@ -23,7 +23,7 @@ namespace HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-// Vectors whose size only the machine knows cannot be members of a struct: they are passed one by one.
+// Vectors without a size at compile time cannot be members of a struct: they are passed one by one.
 // NOLINTBEGIN(readability-function-size)
 
 /// Key schedule of Philox4x32-10: the two key words of each of the ten rounds.

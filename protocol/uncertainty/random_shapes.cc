@@ -26,7 +26,8 @@ double chi2_draw(double degrees_of_freedom, RandomStream& stream) {
   const double c = 1.0 / std::sqrt(9.0 * d);
   while (true) {
     const double z = stream.normal();
-    const double v = std::pow(1.0 + c * z, 3);
+    const double root = 1.0 + c * z;
+    const double v = root * root * root;
     if (!(v > 0.0)) continue;
     if (std::log(stream.uniform()) < 0.5 * z * z + d * (1.0 - v + std::log(v))) return 2.0 * d * v;
   }

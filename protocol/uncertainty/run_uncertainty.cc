@@ -34,7 +34,7 @@ TrialBlock whole_budget(const TypeBSampler& sampler, const Budget& budget, std::
   return [&sampler, root, corrected, accelerometer, truth, seed](std::uint64_t first, std::size_t count,
                                                                  double* out) {
     sampler(first, count, out);
-    // Outputs stand in columns; the first twelve are s row by row and O.
+    // Outputs are in columns; the first twelve are s row by row and O.
     Eigen::Map<Eigen::MatrixXd> errors(out, static_cast<Eigen::Index>(count), kStudyOutputs);
     Eigen::MatrixXd normals(static_cast<Eigen::Index>(count), 12);
     for (Eigen::Index t = 0; t < normals.rows(); ++t) {

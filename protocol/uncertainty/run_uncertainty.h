@@ -37,7 +37,7 @@ struct StudyDifference {
   double stated = 0.0;       ///< u of the result, or its U for 95 %.
 };
 
-/// Monte Carlo of the joint result beside what the result states.
+/// Monte Carlo of the joint result, compared with the result's statements.
 struct JointComparison {
   OutputVector standard_uncertainty = OutputVector::Zero();  ///< As the result states it.
   OutputVector expanded_95 = OutputVector::Zero();           ///< With k for its degrees of freedom.
@@ -51,7 +51,7 @@ struct JointComparison {
 /// A difference between Monte Carlo and a stated uncertainty above this share is named.
 inline constexpr double kNamedDifference = 0.1;
 
-/// Says to readers what the Monte Carlo of the joint result can show.
+/// Text for readers: what the Monte Carlo of the joint result can show.
 inline constexpr const char* kWhatIsChecked =
     "Each trial draws every effect from its stated distribution and the noise from its fitted model, makes "
     "the "
@@ -101,7 +101,7 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
 RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
 
 /// For a joint result that comes from a common fit of several items: its budget and what it states. Monte
-/// Carlo of a common fit is not made, and `no_trials` says so.
+/// Carlo of a common fit is not made, which `no_trials` reports.
 RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result);
 
 }  // namespace abcal

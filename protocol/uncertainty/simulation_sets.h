@@ -24,7 +24,7 @@ struct SimulationOptions {
   std::optional<Angle> alignment, step, initial_turn, zero;
   bool resolution =
       false;           ///< The stage's resolution of 0.001 degrees in place of its accuracy of 0.008 degrees.
-  bool scale = false;  ///< Sets 3 to 6: besides, at a tenth and at ten times the misalignment.
+  bool scale = false;  ///< Sets 3 to 6: also at a tenth and at ten times the misalignment.
   std::stop_token stop;
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };
@@ -44,8 +44,9 @@ struct StudyCase {
   std::optional<StudyOutput> error;  ///< Estimate minus truth.
   std::optional<StudyOutput> truth;  ///< Truth of a single simulation.
   std::optional<MonteCarloResult> monte_carlo;  ///< Statistics of the errors.
-  std::string table;                     ///< "Table 5": where the printed numbers stand; empty: nowhere.
-  std::optional<StudyOutput> published;  ///< Printed error, or mean of the errors.
+  std::string table;                            ///< "Table 5": the table with the printed numbers; empty: not
+                                                ///< printed.
+  std::optional<StudyOutput> published;         ///< Printed error, or mean of the errors.
   std::optional<StudyOutput> published_standard_deviation;
   std::optional<StudyOutput> published_truth;  ///< Table 2.
   std::string note;                            ///< Remark for the reader, e.g. on slips of the paper.

@@ -5,6 +5,8 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "protocol/quantities/output_names.h"
+
 namespace abcal {
 
 OutputVector to_vector(const StudyOutput& output) {
@@ -44,10 +46,7 @@ StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::V
 }
 
 std::string_view output_symbol(int k) {
-  static constexpr std::array<std::string_view, kStudyOutputs> kSymbols = {
-      "s_ux", "s_uy", "s_uz", "s_vx", "s_vy", "s_vz", "s_wx",   "s_wy",   "s_wz",
-      "O_u",  "O_v",  "O_w",  "s_u",  "s_v",  "s_w",  "phi_uv", "phi_vw", "phi_wu"};
-  return kSymbols.at(static_cast<std::size_t>(k));
+  return kOutputSymbols.at(static_cast<std::size_t>(k));
 }
 
 std::string output_unit(int k, std::string_view response_unit) {

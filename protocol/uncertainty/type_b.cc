@@ -61,7 +61,7 @@ std::array<double, 36> root_of_sums(const RotationFit& fit, double step) {
   }
   const double variance = -0.5 * std::expm1(-2.0 * step * step);
   const Eigen::MatrixXd covariance = variance * transposed_product(rows, rows);
-  // Cholesky's factor; a sum that follows from those before it (sin alpha cos alpha stands twice) has no
+  // Cholesky's factor; a sum that follows from those before it (sin alpha cos alpha occurs twice) has no
   // column. Unlike eigenvectors it depends on the last bits of the covariance no more than they do.
   constexpr double kFollows = 1e-12;
   Eigen::Matrix<double, 6, 6, Eigen::RowMajor> root = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>::Zero();

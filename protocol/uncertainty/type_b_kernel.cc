@@ -97,9 +97,8 @@ HWY_INLINE void add_angle(D d, const double* HWY_RESTRICT table, V f, V (&w)[6])
   }
 }
 
-// Vectors whose size only the machine knows cannot be members of a struct: they are passed one by one.
-// NOLINTBEGIN(readability-function-size)
-// The sums with step errors that are independent.
+// Vectors without a size at compile time cannot be members of a struct: they are passed one by one.
+// NOLINTBEGIN(readability-function-size) The sums with step errors that are independent.
 template <bool is_tiny, class D, class VU, class V = hn::Vec<D>>
 HWY_INLINE void add_independent_steps(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
                                       std::size_t i, V mean_step, std::uint32_t& pair, V (&w)[6]) {

@@ -25,7 +25,7 @@ void FaultyPort::receive(std::string_view bytes, Clock::Instant) {
   try {
     stream_.write(bytes);
   } catch (const InstrumentError& error) {
-    if (error.fault() != Fault::kLinkLost) throw;  // Unplugged: it hears nothing.
+    if (error.fault() != Fault::kLinkLost) throw;  // Unplugged: it receives nothing.
   }
 }
 

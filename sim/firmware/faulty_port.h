@@ -14,7 +14,7 @@ namespace abcal::sim {
 /// is unplugged it receives nothing, and its output is lost.
 class FaultyPort final : public Firmware {
  public:
-  /// `clock` must be the one whose instants are handed in.
+  /// `clock` must be the clock of the instants that are passed in.
   FaultyPort(std::shared_ptr<Firmware> inner, Clock& clock, std::vector<WireFault> faults = {},
              std::uint64_t seed = 1, LinkTiming timing = {});
 

@@ -30,7 +30,7 @@ class Firmware {
   virtual bool plugged_in() const { return true; }
 
   /// A client has connected over a network: half a command of an earlier client is forgotten, and so are
-  /// pending answers to it. Motion, settings and the rest of the instrument's state go on. Not called on
+  /// pending answers to it. Motion, settings and the rest of the instrument's state continue. Not called on
   /// serial lines, where the half command stays.
   virtual void session_starts() {}
 

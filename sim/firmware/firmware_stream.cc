@@ -34,7 +34,7 @@ std::optional<Clock::Instant> FirmwareStream::collect(Clock::Instant now) {
 void FirmwareStream::write(std::string_view bytes) {
   const std::lock_guard lock(mutex_);
   const Clock::Instant now = clock_.now();
-  collect(now);  // output from before the command came
+  collect(now);  // output from before the command arrived
   firmware_->receive(bytes, now);
 }
 

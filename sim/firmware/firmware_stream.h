@@ -12,7 +12,7 @@ namespace abcal::sim {
 
 /// The port of a simulated instrument inside the program: waiting for bytes advances the clock to the instant
 /// at which the firmware outputs them, or to the deadline, never further. Several streams may share a clock
-/// and a world: output that comes while another one's wait advances the clock is kept here, in a bounded
+/// and a world: output that arrives while another one's wait advances the clock is kept here, in a bounded
 /// buffer whose oldest bytes are dropped and counted when it is full.
 class FirmwareStream final : public wire::ByteStream {
  public:

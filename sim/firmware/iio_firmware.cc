@@ -287,7 +287,7 @@ class IioFirmware::Client {
   Clock::Instant asked_{};        ///< since then.
 };
 
-/// Fills the kernel's buffer up to now: the oldest samples stay, and for the newest there is no room.
+/// Fills the kernel's buffer up to now: the oldest samples are kept, the newest are dropped.
 void IioFirmware::Client::sample(Clock::Instant now) {
   if (mask_ == 0) return;
   const std::size_t room = block_scans_ * blocks_;
@@ -298,7 +298,7 @@ void IioFirmware::Client::sample(Clock::Instant now) {
   if (machine_->time(next_tick_) <= now) next_tick_ = machine_->first_after(now);
 }
 
-/// False: its samples are still to come.
+/// False: its samples are not complete yet.
 bool IioFirmware::Client::serve_block(Clock::Instant now) {
   if (wanted_scans_ == 0) return true;
   sample(now);

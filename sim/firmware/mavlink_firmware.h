@@ -32,7 +32,7 @@ class MavlinkFirmware final : public Firmware {
  public:
   explicit MavlinkFirmware(std::shared_ptr<SimBench> bench, MavlinkSettings settings = {});
   ~MavlinkFirmware() override;
-  /// Switched off and on: everything is as `bench` and `settings` say, from the start.
+  /// Switches off and on: everything is set from `bench` and `settings` again.
   void restart(std::shared_ptr<SimBench> bench, MavlinkSettings settings);
 
   void receive(std::string_view bytes, Clock::Instant now) override;

@@ -104,7 +104,7 @@ struct Kept {
   std::uint8_t command;
   std::uint8_t reply;
   Family family;
-  std::size_t key;                ///< Bytes behind the function that say which one.
+  std::size_t key;                ///< Number of bytes after the function that select one.
   std::size_t size;               ///< Bytes of the value; 0: any.
   std::string_view initial = {};  ///< Initial value, extended with zeros.
 };
@@ -134,7 +134,7 @@ constexpr auto kKept = std::to_array<Kept>({
     {kFilterSet, 0x12, 0x82, Family::kLegacy, 0, 12},                // offset to the vehicle
     {kFilterSet, 0x14, 0x84, Family::kLegacy, 0, 2, "\xFF\xFF"},     // what is estimated
     {kFilterSet, 0x18, 0x87, Family::kLegacy, 0, 1, "\x01"},         // source of the heading
-    {kFilterSet, 0x19, 0x88, Family::kLegacy, 0, 1, "\x01"},         // initialises by itself
+    {kFilterSet, 0x19, 0x88, Family::kLegacy, 0, 1, "\x01"},         // initialises on its own
     {kFilterSet, 0x1A, 0x89, Family::kLegacy, 0, 12},                // noise of the accelerometer
     {kFilterSet, 0x1B, 0x8A, Family::kLegacy, 0, 12},                // noise of the gyro
     {kFilterSet, 0x1D, 0x8C, Family::kLegacy, 0, 24},                // model of the gyro's bias
@@ -348,7 +348,7 @@ class MipFirmware::Device {
   ReplyQueue replies_;
   std::vector<std::pair<std::uint8_t, std::string>> after_ack_;
   bool suppress_ack_ = false;  ///< Suppresses the acknowledgement of the command in hand.
-  Clock::Duration takes_ = Clock::Duration::zero();  ///< The command in hand, before it is answered.
+  Clock::Duration takes_ = Clock::Duration::zero();  ///< The present command, before it is answered.
   unsigned line_speed_;
   Clock::Instant filter_since_;  ///< Its last reset.
   Clock::Instant powered_since_;
@@ -859,7 +859,7 @@ MipFirmware::Device::Answer MipFirmware::Device::device_status(Arguments argumen
   return {0x90, data};
 }
 
-/// @param legacy_set  the data set that the command itself names; absent: the command says which
+/// @param legacy_set  the data set that the command itself names; absent: the command states it
 void MipFirmware::Device::poll(Arguments arguments, std::optional<std::uint8_t> legacy_set) {
   // The maker's check file puts the two bytes the other way round than his command list: both are taken.
   std::uint8_t set = legacy_set ? *legacy_set : arguments.u8();

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <deque>
 #include <map>
@@ -13,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 
@@ -73,61 +74,33 @@ double degrees_per_unit(int unit, double resolution_deg) {
   }
 }
 
+constexpr auto kErrorTexts = names<int>({{0, "NO ERROR DETECTED"},
+                                         {kEmergencyStop, "EMERGENCY STOP ACTIVATED"},
+                                         {kNoSuchCommand, "COMMAND DOES NOT EXIST"},
+                                         {kOutOfRange, "PARAMETER OUT OF RANGE"},
+                                         {kAxisOutOfRange, "AXIS NUMBER OUT OF RANGE"},
+                                         {kNotAllowed, "COMMAND NOT ALLOWED"},
+                                         {kNoProgram, "PROGRAM DOES NOT EXIST"},
+                                         {kAxisMissing, "AXIS NUMBER MISSING"},
+                                         {kParameterMissing, "COMMAND PARAMETER MISSING"}});
+constexpr auto kAxisErrorTexts = names<int>({{kPositiveHardwareLimit, "POSITIVE HARDWARE LIMIT EXCEEDED"},
+                                             {kNegativeHardwareLimit, "NEGATIVE HARDWARE LIMIT EXCEEDED"},
+                                             {kPositiveSoftwareLimit, "POSITIVE SOFTWARE LIMIT EXCEEDED"},
+                                             {kNegativeSoftwareLimit, "NEGATIVE SOFTWARE LIMIT EXCEEDED"},
+                                             {kNotConnected, "MOTOR / STAGE NOT CONNECTED"},
+                                             {kFeedbackFault, "FEEDBACK SIGNAL FAULT DETECTED"},
+                                             {kMaxVelocity, "MAXIMUM VELOCITY EXCEEDED"},
+                                             {kMaxAcceleration, "MAXIMUM ACCELERATION EXCEEDED"},
+                                             {kMotorNotEnabled, "MOTOR NOT ENABLED"},
+                                             {kHomingAborted, "HOMING ABORTED"},
+                                             {kNotDuringHoming, "COMMAND NOT ALLOWED DURING HOMING"}});
+
 std::string_view text_of(int error) {
-  if (error == 0) return "NO ERROR DETECTED";
-  if (error < 100) {
-    switch (error) {
-      case kEmergencyStop:
-        return "EMERGENCY STOP ACTIVATED";
-      case kNoSuchCommand:
-        return "COMMAND DOES NOT EXIST";
-      case kOutOfRange:
-        return "PARAMETER OUT OF RANGE";
-      case kAxisOutOfRange:
-        return "AXIS NUMBER OUT OF RANGE";
-      case kNotAllowed:
-        return "COMMAND NOT ALLOWED";
-      case kNoProgram:
-        return "PROGRAM DOES NOT EXIST";
-      case kAxisMissing:
-        return "AXIS NUMBER MISSING";
-      case kParameterMissing:
-        return "COMMAND PARAMETER MISSING";
-      default:
-        return "ERROR";
-    }
-  }
-  switch (error % 100) {
-    case kPositiveHardwareLimit:
-      return "POSITIVE HARDWARE LIMIT EXCEEDED";
-    case kNegativeHardwareLimit:
-      return "NEGATIVE HARDWARE LIMIT EXCEEDED";
-    case kPositiveSoftwareLimit:
-      return "POSITIVE SOFTWARE LIMIT EXCEEDED";
-    case kNegativeSoftwareLimit:
-      return "NEGATIVE SOFTWARE LIMIT EXCEEDED";
-    case kNotConnected:
-      return "MOTOR / STAGE NOT CONNECTED";
-    case kFeedbackFault:
-      return "FEEDBACK SIGNAL FAULT DETECTED";
-    case kMaxVelocity:
-      return "MAXIMUM VELOCITY EXCEEDED";
-    case kMaxAcceleration:
-      return "MAXIMUM ACCELERATION EXCEEDED";
-    case kMotorNotEnabled:
-      return "MOTOR NOT ENABLED";
-    case kHomingAborted:
-      return "HOMING ABORTED";
-    case kNotDuringHoming:
-      return "COMMAND NOT ALLOWED DURING HOMING";
-    default:
-      return "AXIS ERROR";
-  }
+  return error < 100 ? kErrorTexts.of(error, "ERROR") : kAxisErrorTexts.of(error % 100, "AXIS ERROR");
 }
 
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
+using pieces::is_digit;
+
 bool is_letter(char c) {
   return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
 }
@@ -142,12 +115,9 @@ struct Refusal {
 /// A parameter: a number, or '?' for the value.
 double number(std::string_view text) {
   if (text.empty()) throw Refusal{kParameterMissing};
-  if (text.front() == '+') text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
-    throw Refusal{kOutOfRange};
-  return value;
+  const auto value = pieces::number<double>(text.starts_with('+') ? text.substr(1) : text);
+  if (!value || !std::isfinite(*value)) throw Refusal{kOutOfRange};
+  return *value;
 }
 
 int whole_number(std::string_view text, int lowest, int highest) {
@@ -337,13 +307,12 @@ NewportEspFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, Newp
           fmt::format("simulated ESP controller: sign is {}, required: +1 or -1", settings_.sign[k]));
     const std::string& name = settings_.axis_names[k];
     if (name.empty()) continue;
-    unsigned value = 0;
-    const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), value);
-    if (error != std::errc{} || end != name.data() + name.size() || value < 1 || value > settings_.axes)
+    const auto value = pieces::number<unsigned>(name);
+    if (!value || *value < 1 || *value > settings_.axes)
       throw std::invalid_argument(
           fmt::format("simulated ESP controller: an axis is named \"{}\", required: a number from 1 to {}",
                       name, settings_.axes));
-    numbers_[k] = value;
+    numbers_[k] = *value;
   }
   if (numbers_[0] == numbers_[1])
     throw std::invalid_argument(fmt::format(
@@ -756,7 +725,7 @@ std::optional<std::string> NewportEspFirmware::Controller::origin(const Command&
                        : whole_number(c.parameter, 0, 6);  // Without number: 1 [unverified against a device]
   refuse_while_homing(k);
   if (!a.motor_on) throw Refusal{axis_error(k, kMotorNotEnabled)};
-  double where = a.offset_deg;  // The home switch stands where a homed axis reads 0.
+  double where = a.offset_deg;  // The home switch is where a homed axis reads 0.
   switch (mode) {
     case 0:
       where = 0.0;  // the position that reads 0
@@ -875,7 +844,7 @@ std::optional<std::string> NewportEspFirmware::Controller::units(const Command& 
   const std::size_t k = index_of(c);
   if (c.asks()) return std::to_string(axes_[k].unit);
   const int wanted = whole_number(c.parameter, 0, 11);
-  // A length is no unit for a rotation stage; the reaction of a real controller is not known.
+  // A length is not a unit for a rotation stage; the reaction of a real controller is not known.
   if (degrees_per_unit(wanted, truth(k).encoder_resolution.deg()) == 0.0) throw Refusal{kOutOfRange};
   axes_[k].unit = wanted;
   return std::nullopt;
@@ -983,7 +952,7 @@ double NewportEspFirmware::Controller::toward(const Command& c, double negative,
   throw Refusal{kOutOfRange};
 }
 
-/// On and on, until it is stopped or comes to its software limit.
+/// Moves until it is stopped or reaches its software limit.
 std::optional<std::string> NewportEspFirmware::Controller::move_on(const Command& c) {
   const std::size_t k = index_of(c);
   if (c.asks()) return in_motion(k) ? "1" : "0";
@@ -992,7 +961,7 @@ std::optional<std::string> NewportEspFirmware::Controller::move_on(const Command
   return std::nullopt;
 }
 
-/// To the limit switch, whose finding is no error here.
+/// Moves to the limit switch, which is not an error here.
 std::optional<std::string> NewportEspFirmware::Controller::move_to_limit(const Command& c) {
   const std::size_t k = index_of(c);
   if (c.asks()) return in_motion(k) ? "0" : "1";
@@ -1005,7 +974,7 @@ std::optional<std::string> NewportEspFirmware::Controller::move_to_limit(const C
   return std::nullopt;
 }
 
-/// Blocks the line until the axis is there; at once if it is not on its way.
+/// Blocks the line until the axis is there; returns at once if it is not moving there.
 std::optional<std::string> NewportEspFirmware::Controller::wait_for_position(const Command& c) {
   const std::size_t k = index_of(c);
   const double wanted = number(c.parameter) * unit(k);

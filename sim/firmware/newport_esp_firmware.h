@@ -25,7 +25,7 @@ struct NewportEspSettings {
   double max_speed_deg_per_s = 720.0;        ///< VU?
   double max_acceleration_deg_per_s2 = 1e5;  ///< AU?
   std::string line_end = "\r\n";             ///< Some units and emulators end replies with CR alone.
-  bool unsolicited_errors = false;           ///< Says "E37" and the like at once, for errors 35 to 42.
+  bool unsolicited_errors = false;           ///< Sends "E37" and similar at once, for errors 35 to 42.
   Clock::Duration silence_after_limit = std::chrono::seconds(3);  ///< 2 to 5 s are seen.
   unsigned baud = 19200;
   Clock::Duration reply_delay = std::chrono::milliseconds(1);

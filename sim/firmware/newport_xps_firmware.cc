@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <map>
 #include <stdexcept>
@@ -11,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/xps_gathering.h"
 
@@ -137,11 +137,9 @@ constexpr auto kKeptParameters = std::to_array<KeptParameters>({
 });
 
 double number(std::string_view text) {
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (text.empty() || error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
-    throw Refusal{kNoNumber};
-  return value;
+  const auto value = pieces::number<double>(text);
+  if (!value || !std::isfinite(*value)) throw Refusal{kNoNumber};
+  return *value;
 }
 
 std::string decimal(double value) {
@@ -788,7 +786,7 @@ std::string NewportXpsFirmware::Controller::global(Call& c) {
   return found != kept_.end() ? found->second : is_text ? "" : "0";
 }
 
-// Referencing by hand: the host says where the axis is.
+// Referencing by hand: the host states where the axis is.
 
 std::string NewportXpsFirmware::Controller::start_referencing(Call& c) {
   Axis& a = axes_[group(c.in[0])];
@@ -1074,7 +1072,7 @@ void NewportXpsFirmware::Controller::act(const Event& event) {
       if (action == "GatheringStop") stop_gathering(call);
       if (action == "GatheringOneData") acquire(call);
     } catch (const Refusal&) {
-      // An action that cannot be carried out has nobody to be told.
+      // A failed action is not reported to anyone.
     }
   }
 }

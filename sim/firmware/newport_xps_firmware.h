@@ -27,7 +27,7 @@ struct NewportXpsSettings {
 
 /// One connection to a Newport XPS controller that turns the axes of a SimBench, each a single-axis group
 /// (public XPS Programmer's Manual; [unverified against a device]). A motion blocks its connection: the reply
-/// comes when it has ended, and commands before that get error -1. A command ends with its closing bracket;
+/// is sent when it has ended, and commands before that get error -1. A command ends with its closing bracket;
 /// text that cannot be one ends with a line feed, too.
 class NewportXpsFirmware final : public Firmware {
  public:
@@ -39,7 +39,7 @@ class NewportXpsFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
-  /// A motion that the previous client commanded goes on; its reply is dropped.
+  /// A motion that the previous client commanded continues; its reply is dropped.
   void session_starts() override;
   std::shared_ptr<Firmware> another_session() override;
   UnservedCommands& unserved() override;

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <map>
 #include <stdexcept>
@@ -11,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/pi_gcs_parameters.h"
 #include "sim/firmware/reply_queue.h"
@@ -67,12 +67,9 @@ struct Refusal {
 };
 
 double number(std::string_view text) {
-  if (!text.empty() && text.front() == '+') text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
-    throw Refusal{kInvalidNumber};
-  return value;
+  const auto value = pieces::number<double>(text.starts_with('+') ? text.substr(1) : text);
+  if (!value || !std::isfinite(*value)) throw Refusal{kInvalidNumber};
+  return *value;
 }
 
 bool flag(std::string_view text) {
@@ -83,11 +80,9 @@ bool flag(std::string_view text) {
 
 unsigned parameter_id(std::string_view text) {
   const bool hex = text.size() > 2 && text[0] == '0' && (text[1] == 'x' || text[1] == 'X');
-  const std::string_view digits = hex ? text.substr(2) : text;
-  unsigned id = 0;
-  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), id, hex ? 16 : 10);
-  if (error != std::errc{} || end != digits.data() + digits.size()) throw Refusal{kInvalidNumber};
-  return id;
+  const auto id = hex ? pieces::number<unsigned>(text.substr(2), 16) : pieces::number<unsigned>(text);
+  if (!id) throw Refusal{kInvalidNumber};
+  return *id;
 }
 
 std::string decimal(double value) {
@@ -440,7 +435,7 @@ void PiGcsFirmware::Controller::run_line(std::string line) {
 }
 
 void PiGcsFirmware::Controller::single_byte(char byte) {
-  // In a daisy chain the address stands before it, with no line end.
+  // In a daisy chain the address precedes it, with no line end.
   Words words = split(line_);
   std::string prefix;
   if (!words.empty()) {

@@ -29,18 +29,17 @@ struct PiGcsSettings {
   double settle_s = 0.01;      ///< Parameter 0x3F: how long ONT? waits after the motion.
   bool has_enable = true;      ///< False: EAX is an unknown command, as on many controllers.
   bool has_unit_query = true;  ///< False: PUN? is unknown, as on E-861; parameter 0x7000601 gives the unit.
-  /// "..., E-861 Version 7.2.0": model and firmware in one field and no serial number, as older firmware
-  /// says.
+  /// "..., E-861 Version 7.2.0": model and firmware in one field and no serial number, as in older firmware.
   bool short_identity = false;
   unsigned baud = 115200;
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
 /// One PI controller that speaks GCS 2.0 (docs/protocols/pi_gcs.md), or two of them in a daisy chain, each of
-/// which hears every byte and answers messages with its address; turning the axes of a SimBench. Accepts the
-/// differing styles of host programs: any case, CR LF, several blanks, with or without axes, with or without
-/// address, parameters by decimal or hexadecimal number. An unknown command is answered as the maker's
-/// controllers do, by error 2 and silence, and noted (unserved()).
+/// which receives every byte and answers messages with its address; turning the axes of a SimBench. Accepts
+/// the differing styles of host programs: any case, CR LF, several blanks, with or without axes, with or
+/// without address, parameters by decimal or hexadecimal number. An unknown command is answered as the
+/// maker's controllers do, by error 2 and silence, and noted (unserved()).
 class PiGcsFirmware final : public Firmware {
  public:
   explicit PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings = {});

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/names.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 #include "sim/firmware/scpi_status.h"
@@ -52,7 +53,7 @@ constexpr unsigned kBufferFull = 1U << 9U;        // MEASurement
 struct Model {
   std::string_view name;
   ScpiFamily family;
-  std::string_view identity;  ///< "{}" stands for the serial number.
+  std::string_view identity;  ///< "{}" is replaced by the serial number.
   ScpiStatusLayout layout;
 };
 constexpr ScpiStatusLayout kOldScanner{.alarm = 1U << 1U};
@@ -83,16 +84,8 @@ constexpr auto kModels = std::to_array<Model>({
     {"2750", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2750,{},A01  /A02  ", kKeithleyByte},
 });
 
-std::string_view default_model(ScpiFamily family) {
-  switch (family) {
-    case ScpiFamily::kKeysight34970a:
-      return "34970A";
-    case ScpiFamily::kKeysight34401a:
-      return "34465A";
-    default:
-      return "2700";
-  }
-}
+constexpr auto kDefaultModels =
+    names<ScpiFamily>({{ScpiFamily::kKeysight34970a, "34970A"}, {ScpiFamily::kKeysight34401a, "34465A"}});
 
 /// @throws std::invalid_argument
 const Model& model_named(std::string_view name) {
@@ -105,36 +98,18 @@ const Model& model_named(std::string_view name) {
       fmt::format("simulated SCPI voltmeter: model is \"{}\", required: one of {}", name, known));
 }
 
-std::string_view text_of(int error) {
-  switch (error) {
-    case 0:
-      return "No error";
-    case kParameterNotAllowed:
-      return "Parameter not allowed";
-    case kMissingParameter:
-      return "Missing parameter";
-    case kUndefinedHeader:
-      return "Undefined header";
-    case kInvalidSuffix:
-      return "Invalid suffix";
-    case kInitIgnored:
-      return "Init ignored";
-    case kDataOutOfRange:
-      return "Data out of range";
-    case kTooMuchData:
-      return "Too much data";
-    case kIllegalParameter:
-      return "Illegal parameter value";
-    case kDataStale:
-      return "Data stale";
-    case kQueueOverflow:
-      return "Queue overflow";
-    case kLocalLockout:
-      return "Command not allowed in local";
-    default:
-      return "Error";
-  }
-}
+constexpr auto kErrorTexts = names<int>({{0, "No error"},
+                                         {kParameterNotAllowed, "Parameter not allowed"},
+                                         {kMissingParameter, "Missing parameter"},
+                                         {kUndefinedHeader, "Undefined header"},
+                                         {kInvalidSuffix, "Invalid suffix"},
+                                         {kInitIgnored, "Init ignored"},
+                                         {kDataOutOfRange, "Data out of range"},
+                                         {kTooMuchData, "Too much data"},
+                                         {kIllegalParameter, "Illegal parameter value"},
+                                         {kDataStale, "Data stale"},
+                                         {kQueueOverflow, "Queue overflow"},
+                                         {kLocalLockout, "Command not allowed in local"}});
 
 /// Thrown by a command that is refused; ends up in the error queue.
 struct Refusal {
@@ -448,7 +423,7 @@ class ScpiVoltmeterFirmware::Meter {
 
   ReplyQueue replies_;
   std::string input_;
-  std::deque<std::string> waiting_;           ///< Messages that came while one was being obeyed.
+  std::deque<std::string> waiting_;           ///< Messages that arrived while one was being carried out.
   std::optional<Clock::Instant> busy_until_;  ///< READ?, FETC?, *OPC? hold the messages behind them.
   Clock::Instant now_;
 };
@@ -460,7 +435,7 @@ ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmet
       unserved_(unserved),
       measured_until_(bench_->start()),
       now_(bench_->start()) {
-  if (settings_.model.empty()) settings_.model = default_model(settings_.family);
+  if (settings_.model.empty()) settings_.model = kDefaultModels.of(settings_.family, "2700");
   const Model& model = model_named(settings_.model);
   const auto refuse = [](const std::string& what) {
     throw std::invalid_argument("simulated SCPI voltmeter: " + what);
@@ -484,7 +459,7 @@ ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmet
   power_on();
 }
 
-/// Back at the settings of *RST, with nothing of before but the bit that says so.
+/// Returns to the settings of *RST and clears everything but the bit that reports power-on.
 void ScpiVoltmeterFirmware::Meter::power(bool on, Clock::Instant now) {
   now_ = now;
   measured_until_ = std::min(measured_until_, now);
@@ -815,7 +790,7 @@ void ScpiVoltmeterFirmware::Meter::run_message(const std::string& message) {
   if (!answer.empty()) replies_.push(answer + "\n", busy_until_.value_or(now_) + settings_.reply_delay);
 }
 
-/// `path`: where the command before it in the message stood ("SENS:VOLT:DC:"), which a command without
+/// `path`: the node of the command before it in the message ("SENS:VOLT:DC:"), which a command without
 /// leading colon continues.
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::run_command(std::string header,
                                                                               std::string_view arguments,
@@ -846,7 +821,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::run_command(st
   throw Refusal{kUndefinedHeader};
 }
 
-/// Sets the registers at the end of a measurement, once it has come.
+/// Sets the registers once a measurement has ended.
 void ScpiVoltmeterFirmware::Meter::settle() {
   if (now_ < measured_until_) return;
   if (std::exchange(measuring_, false)) {
@@ -1104,7 +1079,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::preset(const A
   return std::nullopt;
 }
 
-/// Does not wait: the bit says it when the measurement is over.
+/// Does not wait: the bit reports the end of the measurement.
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::opc(const Arguments&) {
   tells_completion_ = true;
   settle();
@@ -1194,8 +1169,9 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_error(cons
     code = errors_.front();
     errors_.pop_front();
   }
-  if (keithley()) return code == 0 ? "0, \"no error\"" : fmt::format("{},\"{}\"", code, text_of(code));
-  return fmt::format("{:+},\"{}\"", code, text_of(code));
+  if (keithley() && code == 0) return "0, \"no error\"";
+  const std::string_view text = kErrorTexts.of(code, "Error");
+  return keithley() ? fmt::format("{},\"{}\"", code, text) : fmt::format("{:+},\"{}\"", code, text);
 }
 
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::remote(const Arguments&) {

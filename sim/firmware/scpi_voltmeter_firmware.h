@@ -45,11 +45,10 @@ ScpiVoltmeterSettings scpi_model(const std::string& model);
 /// response unit R is then volt.
 ///
 /// A measurement lasts as long as the integration of each channel (number of power line cycles, twice with
-/// automatic zero) and its switching; each channel is measured at its own time. Commands that come during a
+/// automatic zero) and its switching; each channel is measured at its own time. Commands that arrive during a
 /// measurement wait, except those after INIT, which runs in the background. Short and long forms, any case,
 /// several commands joined by ';'. Status registers according to IEEE 488.2. Commands that it does not know
-/// are error
-/// -113, and noted (unserved()).
+/// are error -113, and noted (unserved()).
 class ScpiVoltmeterFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if a setting cannot be.

@@ -36,7 +36,7 @@ struct TextLineSettings {
 };
 
 /// A board with a user's own program that prints numbers as lines of text, reading the world of a SimBench.
-/// Powered on at the start of the world's time; hears nothing. Values that are not finite are printed as
+/// Powered on at the start of the world's time; receives nothing. Values that are not finite are printed as
 /// "nan".
 class TextLineFirmware final : public Firmware {
  public:

@@ -49,12 +49,12 @@ std::string padded(std::string text, std::size_t width) {
   return text;
 }
 
-/// Status messages without being asked, ten times a second. A controller whose host has not sent "server
-/// alive" (0492) for so many of them sends no more [unverified against a device].
+/// Status messages without being asked, ten times a second. Without "server alive" (0492) from the host for
+/// kUpdatesWithoutAck of them the controller stops [unverified against a device].
 constexpr Clock::Duration kUpdatePeriod = std::chrono::milliseconds(100);
 constexpr unsigned kUpdatesWithoutAck = 50;
 
-constexpr double kOnAndOnDegrees = 3600.0;  // As far as the counter of a fine encoder goes.
+constexpr double kOnAndOnDegrees = 3600.0;  // Range of the counter of a fine encoder.
 constexpr double kJogStepDegrees = 5.0;
 constexpr unsigned kContinuousJog = 1;
 constexpr unsigned kSingleJog = 2;
@@ -199,7 +199,7 @@ ThorlabsAptFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, Tho
     axes_[k].address = unit() ? kUnitAddress : 0x20U + static_cast<unsigned>(number);
     const MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
     const double factor = settings_.counts_per_degree * settings_.velocity_per_count_s;
-    // A world may turn faster than the counter of a real stage can say.
+    // A world may turn faster than the counter of a real stage can represent.
     axes_[k].velocity = static_cast<std::int32_t>(std::min(limits.speed_deg_per_s * factor, 2147483647.0));
     axes_[k].acceleration = static_cast<std::int32_t>(limits.acceleration_deg_per_s2);
     axes_[k].offset_deg = -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until homed.
@@ -515,7 +515,7 @@ bool ThorlabsAptFirmware::Controller::take_kept(std::size_t k, const Command& c)
   return false;
 }
 
-/// By one step, or on and on, as the parameters of jogging say.
+/// Moves by one step or continuously, by the parameters of jogging.
 void ThorlabsAptFirmware::Controller::jog(std::size_t k, unsigned direction) {
   if (direction != kForward && direction != kReverse) return;
   const std::string parameters = kept_parameters(k, kSetJog);

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <bit>
-#include <charconv>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -16,6 +15,8 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/names.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 #include "sim/firmware/sample_grid.h"
@@ -84,26 +85,16 @@ std::vector<std::string> split(std::string_view text) {
   return {parts.begin(), parts.end()};
 }
 
-std::optional<unsigned> whole_number(std::string_view text, int base = 10) {
-  unsigned value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
-  if (text.empty() || error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
-
 unsigned number(std::string_view text, int base = 10) {
-  const auto value = whole_number(text, base);
+  const auto value = pieces::number<unsigned>(text, base);
   if (!value) throw Refusal{kBadParameter};
   return *value;
 }
 
 double real_number(std::string_view text) {
-  if (text.starts_with('+')) text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
-    throw Refusal{kBadParameter};
-  return value;
+  const auto value = pieces::number<double>(text.starts_with('+') ? text.substr(1) : text);
+  if (!value || !std::isfinite(*value)) throw Refusal{kBadParameter};
+  return *value;
 }
 
 template <typename Array, typename Value>
@@ -180,31 +171,19 @@ Eigen::Vector3d delta_angle_deg(const BodyMotion& body, double period_s) {
   return body.rate_B_radps * period_s * kDegreesPerRadian;
 }
 
-std::string async_name(unsigned type) {
-  switch (type) {
-    case 1:
-      return "VNYPR";
-    case 2:
-      return "VNQTN";
-    case 8:
-      return "VNQMR";
-    case 10:
-      return "VNMAG";
-    case 11:
-      return "VNACC";
-    case 12:
-      return "VNGYR";
-    case 13:
-      return "VNMAR";
-    case 14:
-      return "VNYMR";
-    case 16:
-      return "VNYBA";
-    case 17:
-      return "VNYIA";
-    default:
-      return "VNIMU";
-  }
+constexpr auto kAsyncNames = names<unsigned>({{1, "VNYPR"},
+                                              {2, "VNQTN"},
+                                              {8, "VNQMR"},
+                                              {10, "VNMAG"},
+                                              {11, "VNACC"},
+                                              {12, "VNGYR"},
+                                              {13, "VNMAR"},
+                                              {14, "VNYMR"},
+                                              {16, "VNYBA"},
+                                              {17, "VNYIA"}});
+
+std::string_view async_name(unsigned type) {
+  return kAsyncNames.of(type, "VNIMU");
 }
 
 }  // namespace
@@ -361,7 +340,7 @@ void VectorNavFirmware::Device::take_line(std::string_view line) {
   try {
     const bool unchecked = sum == "XX" || sum == "xx" || sum == "XXXX" || sum == "xxxx";
     if (!unchecked) {
-      const auto found = whole_number(sum, 16);
+      const auto found = pieces::number<unsigned>(sum, 16);
       const unsigned expected = check == Check::kXor ? xor_of(text) : crc_of(text);
       if ((sum.size() != 2 && sum.size() != 4) || found != expected) throw Refusal{kBadChecksum};
     }
@@ -445,7 +424,7 @@ std::string VectorNavFirmware::Device::read_register(const Words& words) const {
   return fmt::format("VNRRG,{:02},{}", reg, values_of(reg, port_of(words, 2)));
 }
 
-/// The port that a command names, else the one on which it came.
+/// The port that a command names, otherwise the one on which it arrived.
 unsigned VectorNavFirmware::Device::port_of(const Words& words, std::size_t place) const {
   if (words.size() <= place) return settings_.serial_port;
   const unsigned port = number(words[place]);
@@ -453,7 +432,7 @@ unsigned VectorNavFirmware::Device::port_of(const Words& words, std::size_t plac
   return port;
 }
 
-/// A host that sets outputs on the port that is not wired waits for them in vain.
+/// Outputs that a host sets on the port that is not wired never arrive.
 void VectorNavFirmware::Device::note_other_port(std::string_view line) {
   if (!line.starts_with("VNWRG")) return;
   const unsigned other = kPorts + 1 - settings_.serial_port;
@@ -760,7 +739,8 @@ std::string VectorNavFirmware::Device::delta_text(const Sample& sample) {
 }
 
 std::string VectorNavFirmware::Device::async_sentence(const Sample& sample) const {
-  std::string text = async_name(wired().async_type) + "," + async_text(wired().async_type, sample);
+  std::string text(async_name(wired().async_type));
+  text += "," + async_text(wired().async_type, sample);
   // Register 30 appends a count and a status [M: what it counts].
   if (current_.protocol[0] != 0) text += fmt::format(",T{:010}", sample.tick / ascii_decimation());
   if (current_.protocol[1] != 0) text += ",S0000";

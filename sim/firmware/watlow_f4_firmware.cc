@@ -18,7 +18,7 @@ constexpr Clock::Duration kPartialKept = std::chrono::milliseconds(50);
 constexpr int kBadFunction = 1, kBadAddress = 2, kBadValue = 3;
 constexpr const char* kPartNumber = "F4T1L1EAA1D1AAA";
 
-/// Words of the F4T that stand for states.
+/// Words of the F4T for states.
 enum F4tWord : std::uint16_t {
   kAuto = 10,
   kErrorState = 28,
@@ -38,7 +38,7 @@ constexpr unsigned kF4Clock = 1916, kF4tClock = 14664;
 constexpr std::size_t kClockParts = 6;
 constexpr unsigned kAlarms = 8;
 
-/// A controller whose clock nobody has set begins here [unverified against a device].
+/// A controller whose clock was never set begins here [unverified against a device].
 constexpr std::chrono::sys_days kFirstDay{std::chrono::year{2000} / 1 / 1};
 /// The heaters give their full power this far from the set point [unverified against a device].
 constexpr double kProportionalBandK = 10.0;
@@ -120,7 +120,7 @@ void WatlowF4Firmware::take_frames(Clock::Instant now) {
     take_rtu_frames(now);
 }
 
-/// The head of a frame gives its length, whatever it contains; frames of another protocol are skipped.
+/// The head of a frame gives its length, independent of its contents; frames of another protocol are skipped.
 void WatlowF4Firmware::take_tcp_frames(Clock::Instant now) {
   constexpr std::size_t kBeforeUnit = 6, kShortest = 2, kLongest = 254;
   while (received_.size() >= kBeforeUnit) {
@@ -262,8 +262,8 @@ std::uint16_t WatlowF4Firmware::clock_part(std::size_t which, Clock::Instant now
   return static_cast<std::uint16_t>(clock_parts(time).at(which));
 }
 
-/// The parts of a date are set one after the other: one that does not exist in the meantime (31 February) is
-/// counted on into the next month, as no host reads it before it has set them all.
+/// The parts of a date are set one after the other: an invalid date in between (31 February) is continued
+/// into the next month, as no host reads it before it has set all parts.
 int WatlowF4Firmware::set_clock_part(std::size_t which, unsigned value, Clock::Instant now) {
   constexpr std::array<std::array<unsigned, 2>, kClockParts> kRanges{
       {{0, 23}, {0, 59}, {0, 59}, {1, 12}, {1, 31}, {1970, 2099}}};
@@ -398,7 +398,7 @@ WatlowF4Firmware::Registers WatlowF4Firmware::f4t_value(unsigned address, Clock:
       return 0;
     case 18888:
       return kept(18888, 1);
-    case 33718:  // the output that says "chamber running"
+    case 33718:  // the output "chamber running"
       return controls_air() ? kOn : kOff;
     default:
       if (address >= 16622 && address < 16622 + 5) return 0;

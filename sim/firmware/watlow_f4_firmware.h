@@ -48,7 +48,7 @@ class WatlowF4Firmware final : public Firmware {
  private:
   struct State {
     double set_degc = 23.0;
-    std::int64_t clock_ahead_s = 0;          ///< Added to the clock that nobody has set.
+    std::int64_t clock_ahead_s = 0;          ///< Added to the clock that was never set.
     std::map<unsigned, std::uint16_t> kept;  ///< Registers that are kept and nothing else.
   };
   using Registers = std::optional<std::uint16_t>;

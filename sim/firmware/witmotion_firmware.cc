@@ -84,7 +84,7 @@ std::optional<unsigned> period_ms(std::uint16_t code) {
 }
 
 std::int16_t to_counts(double value) {
-  if (std::isnan(value)) return -32768;  // A conversion that failed; no frame can say "not a number".
+  if (std::isnan(value)) return -32768;  // A conversion that failed; no frame can represent "not a number".
   return static_cast<std::int16_t>(std::clamp(std::round(value), -32768.0, 32767.0));
 }
 
@@ -189,7 +189,7 @@ void WitMotionFirmware::Device::receive(std::string_view bytes, Clock::Instant n
   input_.erase(0, at);
 }
 
-/// Says nothing, whether it takes the value or not: a host reads the register to see.
+/// Sends no answer, whether it accepts the value or not: a host reads the register to verify.
 void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
   if (reg == kRead) {
     if (value <= 0xFF) read(static_cast<std::uint8_t>(value));

@@ -6,19 +6,18 @@
 #include <string_view>
 #include <utility>
 
+#include "drivers/text/names.h"
+
 namespace abcal::sim {
 
 std::optional<XpsGathering::Kind> XpsGathering::kind_of(std::string_view name) {
-  constexpr std::pair<std::string_view, Kind> kKinds[] = {{"CurrentPosition", Kind::kCurrentPosition},
-                                                          {"SetpointPosition", Kind::kSetpointPosition},
-                                                          {"FollowingError", Kind::kFollowingError},
-                                                          {"CurrentVelocity", Kind::kCurrentVelocity},
-                                                          {"SetpointVelocity", Kind::kSetpointVelocity}};
+  constexpr auto kKinds = names<Kind>({{Kind::kCurrentPosition, "CurrentPosition"},
+                                       {Kind::kSetpointPosition, "SetpointPosition"},
+                                       {Kind::kFollowingError, "FollowingError"},
+                                       {Kind::kCurrentVelocity, "CurrentVelocity"},
+                                       {Kind::kSetpointVelocity, "SetpointVelocity"}});
   const std::size_t dot = name.rfind('.');
-  if (dot == std::string_view::npos) return std::nullopt;
-  for (const auto& [word, kind] : kKinds)
-    if (name.substr(dot + 1) == word) return kind;
-  return std::nullopt;
+  return dot == std::string_view::npos ? std::nullopt : kKinds.value(name.substr(dot + 1));
 }
 
 void XpsGathering::configure(std::vector<Quantity> quantities) {

@@ -441,7 +441,7 @@ void XsensMtiFirmware::Device::run(unsigned id, std::string_view data) {
       default:
         if (!known_message(id))
           unserved_.note(fmt::format("message {:02X}", id), "not emulated: error 04", message(id, data));
-        // Not valid in the other states [M: says so rather than ignoring it].
+        // Not valid in the other states [M: answers with an error instead of ignoring it].
         if (state_ != State::kConfig) throw Refusal{kInvalidMessage};
         answer = run_in_config(id, data);
     }

@@ -30,9 +30,9 @@ struct XsensMtiSettings {
 /// base rate, from the start of the world's time. Gyroscope, magnetometer and orientation show the motion of
 /// the platter (SimBench::body_motion), in the frame that the data id names.
 ///
-/// Switched on, it says WakeUp and begins to measure 500 ms later unless a command says otherwise, with
-/// its last output configuration. A new baud rate holds from the next reset on. Messages that it does not
-/// know are error 04, and noted (unserved()).
+/// Switched on, it sends WakeUp and begins to measure 500 ms later unless a command says otherwise, with its
+/// last output configuration. A new baud rate holds from the next reset on. Messages that it does not know
+/// are error 04, and noted (unserved()).
 class XsensMtiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.

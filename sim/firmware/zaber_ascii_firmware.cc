@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 #include "sim/firmware/zaber_settings.h"
@@ -52,12 +53,10 @@ std::optional<int> whole_number(std::string_view text) {
 
 /// Digits, perhaps with a sign and a point: neither "1e3" nor "+1" nor "inf" is a number to a device.
 double number(std::string_view text) {
-  double value = 0.0;
   if (text.find_first_not_of("-.0123456789") != std::string_view::npos) throw Rejection{"BADDATA"};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
-    throw Rejection{"BADDATA"};
-  return value;
+  const auto value = pieces::number<double>(text);
+  if (!value || !std::isfinite(*value)) throw Rejection{"BADDATA"};
+  return *value;
 }
 
 /// Positions, speeds and the like are whole numbers.
@@ -90,9 +89,7 @@ unsigned lrc(std::string_view bytes) {
 
 /// Whether ":CC" behind `content` is its checksum.
 bool checksum_holds(std::string_view content, std::string_view digits) {
-  unsigned value = 0;
-  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value, 16);
-  return digits.size() == 2 && error == std::errc{} && end == digits.data() + 2 && value == lrc(content);
+  return digits.size() == 2 && pieces::number<unsigned>(digits, 16) == lrc(content);
 }
 
 std::string joined(const Words& words, std::size_t first = 0) {
@@ -284,7 +281,7 @@ class ZaberAsciiFirmware::Chain {
   std::vector<Device> devices_;  ///< In the order of the chain.
   ReplyQueue replies_;
   std::string line_;
-  std::optional<Words> continued_;  ///< A command of which more is to come.
+  std::optional<Words> continued_;  ///< A command that is continued in the next message.
   int continuations_ = 0;
   Clock::Instant now_;
 };
@@ -704,7 +701,7 @@ std::string ZaberAsciiFirmware::Chain::home(Command& c) {
   if (c.axes().empty()) throw Rejection{"INACTIVE"};
   for (const std::size_t k : c.axes()) require_ready(k);
   for (const std::size_t k : c.axes()) {
-    start_motion(k, axes_[k].offset_deg);  // The sensor stands where a homed axis reads 0.
+    start_motion(k, axes_[k].offset_deg);  // The sensor is where a homed axis reads 0.
     axes_[k].referenced = false;
     axes_[k].homing_until = now_ + kShortestHoming;
   }

@@ -40,11 +40,12 @@ struct ZaberAsciiSettings {
 };
 
 /// Zaber devices that speak ASCII on one line (docs/protocols/zaber_ascii.md), turning the axes of a
-/// SimBench: a controller with two axes, or single-axis units in a daisy chain. All of them hear every byte.
+/// SimBench: a controller with two axes, or single-axis units in a daisy chain. All of them receive every
+/// byte.
 ///
-/// Wherever an axis is when it is switched on, it reads 0 until it is homed; the home sensor lies at the
-/// controller's zero. An unknown command is rejected by BADCOMMAND, and noted (unserved()). comm.checksum,
-/// comm.alert and the device number are kept without power, positions are not.
+/// After power-on an axis reads 0 at any position until it is homed; the home sensor lies at the controller's
+/// zero. An unknown command is rejected by BADCOMMAND, and noted (unserved()). comm.checksum, comm.alert and
+/// the device number are kept without power, positions are not.
 class ZaberAsciiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if a sign or the name of an axis is invalid.

@@ -16,7 +16,7 @@ struct ZaberSetting {
   double highest = 1e12;
 };
 
-/// Null if there is none of this name.
+/// Null if no setting has this name.
 const ZaberSetting* zaber_setting(std::string_view name);
 
 }  // namespace abcal::sim

@@ -358,7 +358,7 @@ TEST_F(CompareCommand, CertificatesOfOneStageAreNotAveragedDown) {
   std::vector<std::string> files;
   for (const std::string name : {"a", "b", "c"}) {
     std::string own = bench;
-    own.replace(own.find(seed), seed.size(), "seed = " + std::to_string(1 + files.size()));
+    own.replace(own.find(seed), seed.size(), seed + "\nrun = " + std::to_string(1 + files.size()));
     own.replace(own.find("steps = 72"), 10, "steps = 36");
     own.replace(own.find("step_deg = 5.0"), 14, "step_deg = 10.0");
     write(name + ".toml", own);
@@ -436,7 +436,12 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
 // much.
 TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
   const std::filesystem::path examples = test::source_folder() / "docs/examples";
-  ASSERT_EQ(abcal({"run", (examples / "simulated.toml").string(), "-o", "a.run"}).exit_code, 0);
+  // Where the readings of a run seem to wander, its trials may give a larger U than its fit. On this bench
+  // they do not: nothing is drawn.
+  std::string bench = test::read_file(examples / "simulated.toml");
+  bench.replace(bench.find("draw = \"stated\""), 15, "# ");
+  write("bench.toml", bench);
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
   const test::TrainingRegister registered(folder.path());
   const ProgramResult written =
       abcal({"issue", "a.run", "--laboratory", (examples / "laboratory.toml").string(), "--dcc", "a.xml"});

@@ -304,7 +304,8 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
     EXPECT_EQ(run.finished()->stored().measured.size(), run.finished()->stored().header.plan.size());
     expect_verified(run.path());
     const CalibrationResult& result = run.finished()->items.front().results.front();
-    const TruthComparison truth = compare_with_truth(result, parse_bench(text, "bench.toml"));
+    const TruthComparison truth =
+        compare_with_truth(result, run.finished()->stored().record, parse_bench(text, "bench.toml"));
     EXPECT_TRUE(result.verdict != Verdict::kUsable || truth.agrees()) << truth.text;
     for (const char* suffix : {"", ".results"}) std::filesystem::remove(run.path().string() + suffix);
   }

@@ -141,7 +141,7 @@ class SoakTest : public testing::Test {
     const CalibrationResult result = analyse(stored.record, "abc");
     if (result.verdict != Verdict::kUsable) return;
     ++usable;
-    const TruthComparison truth = compare_with_truth(result, parse_bench(text, "bench.toml"));
+    const TruthComparison truth = compare_with_truth(result, stored.record, parse_bench(text, "bench.toml"));
     if (truth.agrees()) return;
     ++wrong;
     ADD_FAILURE() << truth.text;

@@ -59,8 +59,8 @@ measure() { # measure NAME SED...: the example with 12 angles and 50 readings, a
 printf 'correct horse 7\n' >password
 chmod 600 password
 cp "$examples/laboratory.toml" lab.toml
-for k in 1 2 3 4 5 6 7; do measure $k -e "s/^seed = .*/seed = $k/"; done
-measure off -e 's/^seed = .*/seed = 8/' -e 's/^offset = \[0.0054/offset = [0.0104/'
+for k in 1 2 3 4 5 6 7; do measure $k -e "s/^seed = .*/&\nrun = $k/"; done # other runs on the same bench
+measure off -e 's/^seed = .*/&\nrun = 8/' -e 's/^offset = \[0.0054/offset = [0.0104/'
 measure joint -e 's/^\[protocol\].*/[protocol]\nestimator = "joint"/'
 register training.db --training
 login "Operator N. N."

@@ -29,6 +29,11 @@ TEST(Library, ASimulatedRunIsAnalysedToItsTruth) {
   EXPECT_NEAR(std::sqrt(result.covariance().matrix(0, 0)), s.u(0, 0), 1e-12 * s.u(0, 0));
   EXPECT_EQ(result.covariance().labels.at(9), "O_u");
   EXPECT_FALSE(result.effects().empty());
+  ASSERT_FALSE(result.quantities().empty());
+  for (const abcal::QuantityGroup& group : result.quantities()) {
+    EXPECT_NE(result.to_json().find("\"key\": \"" + group.key + "\""), std::string::npos) << group.key;
+    EXPECT_EQ(group.values.value.size(), static_cast<Eigen::Index>(group.symbols.size())) << group.key;
+  }
   EXPECT_NE(result.to_json().find("\"abcal.result/1\""), std::string::npos);
 }
 

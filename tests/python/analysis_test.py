@@ -44,6 +44,20 @@ class Results(unittest.TestCase):
         self.assertEqual(result.verdict, json_of["verdict"])
         self.assertEqual(result.sensitivity_matrix.unit, "R/g_loc")
 
+    def test_every_group_of_the_json_is_a_group_here(self):
+        result = abcal.analyse(simulated().record, "joint")
+        json_of = result.to_dict()
+        self.assertEqual([group.key for group in result.quantities], [group["key"] for group in json_of["quantities"]])
+        self.assertIn("alignment", [group.key for group in result.quantities])
+        for group, about in zip(result.quantities, json_of["quantities"]):
+            self.assertEqual((group.kind, group.frame, group.heading, group.meaning, group.symbols),
+                             tuple(about[key] for key in ("kind", "frame", "heading", "meaning", "symbols")))
+            values = json_of
+            for key in about["path"].split("/")[1:]:
+                values = values[key]
+            found = np.array([q["value"] for q in np.ravel(values)], dtype=float)
+            np.testing.assert_array_equal(group.values.value.ravel(), found)
+
     def test_the_truth_is_within_the_uncertainty(self):
         run = simulated(steps=72)
         result = abcal.analyse(run.record, "joint")

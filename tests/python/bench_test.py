@@ -55,11 +55,12 @@ class Runs(unittest.TestCase):
         result = abcal.demo(steps=24)
         self.assertEqual((result.estimator, result.verdict), ("joint", "usable"), result.why)
         self.assertEqual(list(elsewhere.iterdir()), [])
-        # The emulator's true values, as `abcal demo` compares with them.
+        # The emulator draws non-linearity and alignment; the angles between the outputs are those of the file.
         truth = tomllib.loads((SOURCE / "docs/examples/emulated.toml").read_text())["simulation"]
-        error = result.sensitivity_matrix.value - truth["sensitivity_matrix"]
-        self.assertLess(np.abs(error / result.sensitivity_matrix.u).max(), 5.0)
-        self.assertLess(np.abs((result.offset.value - truth["offset"]) / result.offset.u).max(), 5.0)
+        def cosines(matrix):
+            rows = np.array(matrix) / np.linalg.norm(matrix, axis=1, keepdims=True)
+            return rows @ rows.T
+        self.assertLess(np.abs(cosines(result.sensitivity_matrix.value) - cosines(truth["sensitivity_matrix"])).max(), 3e-4)
         with self.assertRaisesRegex(ValueError, "found 7; required: a divisor of 360"):
             abcal.demo(steps=7)
         os.environ["ABCAL_REGISTER"] = str(elsewhere / "register.db")

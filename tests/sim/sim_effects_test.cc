@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <functional>
+#include <initializer_list>
 #include <limits>
 #include <memory>
 #include <numbers>
@@ -248,6 +249,39 @@ TEST(SimEffectsTest, TheMountCreepsTheFloorTiltsThePlatformSags) {
   // sin 30.
   const double more = 30.0 * kDeg + 100e-6 * std::sin(30.0 * kDeg);
   EXPECT_LT((reading(sag, 30, 0) - Vector3d(0.0, std::sin(more), std::cos(more))).norm(), 1e-13);
+}
+
+/// Reading at X by way of the angles in turn.
+Eigen::Vector3d reading_by_way_of(const BenchTruth& truth, std::initializer_list<double> x_deg) {
+  SimBench bench(truth);
+  Clock::Instant t = bench.start();
+  for (const double deg : x_deg) {
+    bench.move(StageAxis::kX, Angle::degrees(deg), t);
+    t = bench.motion_end(StageAxis::kX, t) + std::chrono::seconds(1);
+  }
+  return bench.output(t, 0).value;
+}
+
+// Whatever the motions were: v = sin x falls by 0.003 behind its way up, in one motion or in two.
+TEST(SimEffectsTest, HysteresisWithAWidthTurnsRoundGradually) {
+  BenchTruth truth;
+  truth.hysteresis = {0.0, 1e-4, 1e-4};
+  truth.hysteresis_width = 0.01;
+  BenchTruth without = truth;
+  without.hysteresis.setZero();
+  const auto turned = [&](std::initializer_list<double> way) {
+    return ((reading_by_way_of(truth, way) - reading_by_way_of(without, way)) / 1e-4).eval();
+  };
+  EXPECT_NEAR(turned({30.0})(1), 1.0, 1e-9);
+  EXPECT_NEAR(turned({30.0})(2), -1.0, 1e-9);
+  const double fall = std::sin(30.0 * std::numbers::pi / 180.0) - std::sin(29.8 * std::numbers::pi / 180.0);
+  double expected = 0.0;
+  for (const double gap : {0.001, 0.002, 0.0035, 0.005}) expected += 0.25 * std::max(-1.0, 1.0 - fall / gap);
+  EXPECT_NEAR(turned({30.0, 29.8})(1), expected, 1e-9);
+  EXPECT_NEAR(turned({30.0, 29.9, 29.8})(1), expected, 1e-9);
+  EXPECT_NEAR(turned({30.0, 20.0})(1), -1.0, 1e-9);
+  // On the way from 60 to 120 degrees v has its extremum, and falls again.
+  EXPECT_NEAR(turned({60.0, 120.0})(1), -1.0, 1e-9);
 }
 
 TEST(SimEffectsTest, HysteresisTakesTheSignOfTheLastChange) {

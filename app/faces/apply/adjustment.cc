@@ -7,6 +7,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "drivers/text/letters.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -48,7 +49,7 @@ ResponseErrors errors_with(const CorrectionConstants& constants, const OutputCor
   // raw = A0^-1 (S a + b) + b0
   errors.gain = held.matrix * inverse * S - Eigen::Matrix3d::Identity();
   errors.offset = held.matrix * (inverse * constants.b + in_force.offset - held.offset);
-  errors.u_gain = constants.u_M() / constants.unit_mps2.value_or(1.0);
+  errors.u_gain = constants.u_matrix() / constants.unit_mps2.value_or(1.0);
   errors.u_offset = constants.u_b();
   return errors;
 }
@@ -71,13 +72,13 @@ std::string disagreement(const ResponseErrors& left, const ResponseErrors& predi
   };
   const double offset_step = ability.offset_step / std::sqrt(12.0);
   const double matrix_step = ability.matrix_step / std::sqrt(12.0);
-  constexpr const char* kAxes = "xyz";
   for (Eigen::Index j = 0; j < 3; ++j) {
-    look(fmt::format("the offset of {}", kAxes[j]), left.offset[j], predicted.offset[j],
+    look(fmt::format("the offset of {}", kPlatterAxes[j]), left.offset[j], predicted.offset[j],
          std::hypot(left.u_offset[j], predicted.u_offset[j], offset_step));
     for (Eigen::Index k = 0; k < 3; ++k) {
-      const std::string name = j == k ? fmt::format("the scale error of {}", kAxes[j])
-                                      : fmt::format("the cross-axis element {}{}", kAxes[j], kAxes[k]);
+      const std::string name =
+          j == k ? fmt::format("the scale error of {}", kPlatterAxes[j])
+                 : fmt::format("the cross-axis element {}{}", kPlatterAxes[j], kPlatterAxes[k]);
       look(name, left.gain(j, k), predicted.gain(j, k),
            std::max(std::hypot(left.u_gain(j, k), predicted.u_gain(j, k), matrix_step), kRounding));
     }

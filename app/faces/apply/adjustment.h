@@ -8,7 +8,7 @@
 namespace abcal {
 
 /// By how much an output differs from the acceleration along its axis: output = (1 + gain) a + offset, in the
-/// output unit, and in the axes of the constants that it comes from.
+/// output unit, and in the axes of the constants from which it is derived.
 struct ResponseErrors {
   Eigen::Matrix3d gain = Eigen::Matrix3d::Zero();  ///< Diagonal: scales; else: cross-axis (1).
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();
@@ -22,7 +22,7 @@ struct ResponseErrors {
 /// The correction that makes the output right: `in_force` followed by the constants of a result that was
 /// measured with `in_force` in the registers. The parts that `shape` cannot hold (the matrix, or its
 /// cross-axis elements) are those of `in_force`.
-/// @throws std::invalid_argument if the output is no acceleration, or `in_force` is singular
+/// @throws std::invalid_argument if the output is not an acceleration, or `in_force` is singular
 OutputCorrection composed(const CorrectionConstants& constants, const OutputCorrection& in_force,
                           CorrectionShape shape);
 

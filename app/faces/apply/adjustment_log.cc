@@ -3,13 +3,14 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <utility>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/read_file.h"
+#include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
@@ -18,13 +19,18 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSchema = "abcal.adjustments/1";
 
-constexpr std::array<std::string_view, 8> kStates{"begun",  "declined", "written", "verified",
-                                                  "saving", "saved",    "undone",  "undo failed"};
+constexpr auto kStates = names<AdjustmentState>({{AdjustmentState::kBegun, "begun"},
+                                                 {AdjustmentState::kDeclined, "declined"},
+                                                 {AdjustmentState::kWritten, "written"},
+                                                 {AdjustmentState::kVerified, "verified"},
+                                                 {AdjustmentState::kSaving, "saving"},
+                                                 {AdjustmentState::kSaved, "saved"},
+                                                 {AdjustmentState::kUndone, "undone"},
+                                                 {AdjustmentState::kUndoFailed, "undo failed"}});
 
 AdjustmentState state_from(const std::string& word) {
-  const auto found = std::ranges::find(kStates, word);
-  if (found == kStates.end()) throw std::runtime_error(fmt::format("\"{}\" is no state", word));
-  return static_cast<AdjustmentState>(found - kStates.begin());
+  if (const auto state = kStates.value(word)) return *state;
+  throw std::runtime_error(fmt::format("\"{}\" is no state", word));
 }
 
 Json to_json(const Adjustment& a) {
@@ -53,7 +59,7 @@ Adjustment from_json(const Json& json) {
 }  // namespace
 
 std::string_view to_string(AdjustmentState state) {
-  return kStates[static_cast<std::size_t>(state)];
+  return kStates.of(state);
 }
 
 bool Adjustment::can_be_undone() const {
@@ -106,7 +112,7 @@ void AdjustmentLog::update(const Adjustment& adjustment) {
 void AdjustmentLog::store() const {
   Json json{{"schema", kSchema}, {"adjustments", Json::array()}};
   for (const Adjustment& each : all_) json["adjustments"].push_back(to_json(each));
-  OutputFile(path_).write(json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+  OutputFile(path_).write(json_text(json, 2) + "\n");
   const std::filesystem::path folder = path_.has_parent_path() ? path_.parent_path() : ".";
   flush_to_disk(folder, folder);
 }

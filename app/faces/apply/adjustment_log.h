@@ -10,10 +10,10 @@
 
 namespace abcal {
 
-/// How far an adjustment has come.
+/// Progress of an adjustment.
 enum class AdjustmentState {
   kBegun,       ///< The old content is stored; registers may have been written.
-  kDeclined,    ///< Nothing was written: a person said no.
+  kDeclined,    ///< A person declined; nothing was written.
   kWritten,     ///< Written and read back.
   kVerified,    ///< A run afterwards agrees with the prediction.
   kSaving,      ///< Storing in the instrument has begun; it may have succeeded.
@@ -31,7 +31,7 @@ struct Adjustment {
   std::string label;  ///< Serial number on the label, where the instrument reports none.
   RegisterTexts before, after;
   AdjustmentState state = AdjustmentState::kBegun;
-  bool saved = false;   ///< The instrument was told to keep `after`: undoing must be kept as well.
+  bool saved = false;   ///< The instrument was commanded to store `after`; an undo must be stored, too.
   std::string as_left;  ///< Run file of the verification.
   std::string why;      ///< Reason of a failure; empty: none.
 
@@ -41,8 +41,8 @@ struct Adjustment {
   bool is_unfinished() const;
 };
 
-/// The adjustments that were made with one run: `RUN.adjustments.json` beside it. Every change is on the disk
-/// before the function returns.
+/// The adjustments that were made with one run: `RUN.adjustments.json` next to it. Every change is on the
+/// disk before the function returns.
 class AdjustmentLog {
  public:
   /// Reads the file if it exists. @throws std::runtime_error if it cannot be read

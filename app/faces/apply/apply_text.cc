@@ -7,36 +7,21 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/letters.h"
+#include "drivers/text/names.h"
+
 namespace abcal {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kAxes = "xyz";
+constexpr auto kShapeNames = names<CorrectionShape>({{CorrectionShape::kOffset, "offset"},
+                                                     {CorrectionShape::kDiagonal, "diagonal"},
+                                                     {CorrectionShape::kFull, "full"}});
 
-std::string_view shape_name(CorrectionShape shape) {
-  switch (shape) {
-    case CorrectionShape::kOffset:
-      return "offset";
-    case CorrectionShape::kDiagonal:
-      return "diagonal";
-    case CorrectionShape::kFull:
-      break;
-  }
-  return "full";
-}
-
-std::string shape_words(CorrectionShape shape) {
-  switch (shape) {
-    case CorrectionShape::kOffset:
-      return "offsets only: scales and angles between the axes stay as they are";
-    case CorrectionShape::kDiagonal:
-      return "offsets and scales: angles between the axes stay as they are";
-    case CorrectionShape::kFull:
-      break;
-  }
-  return "offsets, scales and angles between the axes";
-}
+constexpr auto kShapeWords = names<CorrectionShape>(
+    {{CorrectionShape::kOffset, "offsets only: scales and angles between the axes stay as they are"},
+     {CorrectionShape::kDiagonal, "offsets and scales: angles between the axes stay as they are"}});
 
 std::string content(const RegisterTexts& registers, const std::string& name) {
   const auto found = registers.find(name);
@@ -68,15 +53,15 @@ std::string error_table(const ApplyReport& report) {
   };
   for (Eigen::Index j = 0; j < 3; ++j)
     row(
-        fmt::format("offset {} / {}", kAxes[j], report.unit),
+        fmt::format("offset {} / {}", kPlatterAxes[j], report.unit),
         [j](const ResponseErrors& e) { return e.offset[j]; },
         [j](const ResponseErrors& e) { return e.u_offset[j]; });
   for (Eigen::Index j = 0; j < 3; ++j) {
     for (Eigen::Index k = 0; k < 3; ++k) {
       if (report.as_found.gain(j, k) == 0.0 && report.predicted.gain(j, k) == 0.0) continue;
       row(
-          j == k ? fmt::format("scale {} / ppm", kAxes[j])
-                 : fmt::format("cross-axis {}{} / ppm", kAxes[j], kAxes[k]),
+          j == k ? fmt::format("scale {} / ppm", kPlatterAxes[j])
+                 : fmt::format("cross-axis {}{} / ppm", kPlatterAxes[j], kPlatterAxes[k]),
           [j, k](const ResponseErrors& e) { return 1e6 * e.gain(j, k); },
           [j, k](const ResponseErrors& e) { return 1e6 * e.u_gain(j, k); });
     }
@@ -117,7 +102,8 @@ std::string apply_text(const ApplyReport& report) {
       fmt::format("Accelerometer {}{}, driver {}\n", report.model,
                   report.serial_number.empty() ? "" : " (SN " + report.serial_number + ")", report.driver);
   text += fmt::format("  {}\n", report.ability.rule);
-  text += fmt::format("  Its registers hold {}.\n", shape_words(report.ability.shape));
+  text += fmt::format("  Its registers hold {}.\n",
+                      kShapeWords.of(report.ability.shape, "offsets, scales and angles between the axes"));
   text += fmt::format("  Their steps: {:.2g} {}", report.ability.offset_step, report.unit);
   if (report.ability.matrix_step > 0.0)
     text += fmt::format(", {:.2g} of a scale", report.ability.matrix_step);
@@ -166,7 +152,7 @@ nlohmann::ordered_json apply_json(const ApplyReport& report) {
       {"accelerometer", {{"model", report.model}, {"serial_number", report.serial_number}}},
       {"driver", report.driver},
       {"rule", report.ability.rule},
-      {"holds", shape_name(report.ability.shape)},
+      {"holds", kShapeNames.of(report.ability.shape, "full")},
       {"steps", {{"offset", report.ability.offset_step}, {"matrix", report.ability.matrix_step}}},
       {"registers", {{"in_force", report.in_force}, {"before", report.before}, {"after", report.after}}},
       {"state", report.log.empty() ? "dry run" : std::string(to_string(report.state))},

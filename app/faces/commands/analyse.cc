@@ -143,9 +143,8 @@ int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k)
   if (options.stage_record.empty()) keep(options.file, {{&stored, &result}});
   options.json() ? print_result("{}\n", result_json(result).dump(2))
                  : print_result("{}", text_of(item, options));
-  const bool agrees =
-      options.truth.empty() ||
-      show_truth(options.truth, stored.item, result, options.json() ? stderr : stdout).agrees();
+  const bool agrees = options.truth.empty() ||
+                      show_truth(options.truth, stored, result, options.json() ? stderr : stdout).agrees();
   return result.verdict == Verdict::kNotUsable || !agrees ? kExitFailed : kExitDone;
 }
 
@@ -182,10 +181,11 @@ int print_series(const std::vector<std::string>& files, const std::optional<Stag
   return series.results.front().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
 
-TruthComparison show_truth(const std::string& bench_file, int item, const CalibrationResult& result,
-                           std::FILE* stream) {
+TruthComparison show_truth(const std::string& bench_file, const StoredRun& run,
+                           const CalibrationResult& result, std::FILE* stream) {
   const BenchConfig bench = read_bench(bench_file);
-  TruthComparison comparison = compare_with_truth(result, bench, bench.has_several_items() ? item : 1);
+  TruthComparison comparison =
+      compare_with_truth(result, run.record, bench, bench.has_several_items() ? run.item : 1);
   const std::string heading =
       fmt::format("Compared with the simulated truth ({} estimator)", result.estimator);
   const std::string text =

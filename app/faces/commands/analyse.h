@@ -13,8 +13,8 @@ namespace abcal {
 
 /// Compares a result with the true values of a simulated bench, and prints the comparison.
 /// @param stream  stdout, or stderr where standard output belongs to a program
-TruthComparison show_truth(const std::string& bench_file, int item, const CalibrationResult& result,
-                           std::FILE* stream);
+TruthComparison show_truth(const std::string& bench_file, const StoredRun& run,
+                           const CalibrationResult& result, std::FILE* stream);
 
 /// Fits runs of one item on one stage together, and prints the result.
 /// @return the exit code of the program

@@ -17,7 +17,7 @@ struct CampaignOptions {
 
 /// Measures, stores and summarises. A failure of one run ends the campaign; the earlier runs are kept.
 /// @return the exit code of the program
-/// @throws as `abcal run`; std::invalid_argument for files in the way, for --remount without a terminal
+/// @throws as `abcal run`; std::invalid_argument if an output file exists, for --remount without a terminal
 int run_campaign(const CampaignOptions& options);
 
 }  // namespace abcal

@@ -172,7 +172,7 @@ int show_results(DemoFiles& files, bool json) {
   const AnalysedItem& item = run.item(1);
   if (!json) print_result("{}", summary_text(item, files.run.string(), stdout));
   const TruthComparison comparison =
-      show_truth(files.bench_file.string(), 1, item.result(), json ? stderr : stdout);
+      show_truth(files.bench_file.string(), item.stored, item.result(), json ? stderr : stdout);
   write_report(files);
   if (json) {
     print_result("{}\n", demo_json(files, item.result(), comparison).dump(2));
@@ -197,7 +197,7 @@ console::RunEnd measure(console::SteeredRun& steered, const std::stop_token& sto
   try {
     return steered.measure("abcal demo", stop);
   } catch (const RunInterrupted&) {
-    steered.close();  // Its last messages tell what is kept.
+    steered.close();  // Its last messages report what is kept.
     throw RunInterrupted("the demo was interrupted; its stage is halted and its processes have ended");
   }
 }

@@ -25,7 +25,7 @@ std::string example_text(std::string_view path) {
   throw std::logic_error(fmt::format("{} is not built in", path));
 }
 
-/// The example with these ports and a turn of so many steps.
+/// The example with these ports and this number of steps in a turn.
 std::string example_bench(const std::string& stage, const std::string& accelerometer, int steps) {
   constexpr int kTurn = 360;
   if (steps < 1 || kTurn % steps != 0)

@@ -8,7 +8,7 @@ namespace abcal {
 /// The bench file of `abcal demo`: docs/examples/emulated.toml with the ports in `folder` and fewer angles.
 /// @param folder  absolute
 /// @param steps  angles of each experiment
-/// @throws std::invalid_argument if 360 degrees are no whole number of degrees for each step
+/// @throws std::invalid_argument if a step is not a whole number of degrees
 std::string demo_bench(const std::filesystem::path& folder, int steps);
 
 /// The same bench with the emulated instruments inside the program that reads it.

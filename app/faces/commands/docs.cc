@@ -27,7 +27,7 @@
 namespace abcal {
 namespace {
 
-/// The folder of the pages: beside the program of a build, else that of the package abcal-doc.
+/// The folder of the pages: next to the program of a build, otherwise from the package abcal-doc.
 std::filesystem::path docs_folder() {
   const std::filesystem::path beside = program_data("docs");
   const std::filesystem::path installed = beside.parent_path().parent_path() / "doc/abcal";

@@ -88,7 +88,7 @@ bool agrees(Likeness likeness) {
          likeness == Likeness::kSameLength;
 }
 
-/// How many exchanges agree in which way, and each request whose answers do not, once.
+/// Prints the number of exchanges for each kind of agreement and, once, each request whose answers differ.
 void print_comparison(const std::vector<ComparedExchange>& exchanges) {
   std::map<Likeness, std::size_t> counts;
   std::set<std::string> told;

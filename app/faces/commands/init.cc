@@ -56,12 +56,13 @@ bool is_enough_for_a_run(const std::array<AxisTravel, 2>& travel) {
   try {
     (void)make_rotation_plan(ProtocolConfig{}, travel);
     return true;
-  } catch (const PlanError&) {  // It names every angle, which is too much for an answer to a question.
+  } catch (const PlanError&) {  // Its message lists every angle, which is too long here.
     return false;
   }
 }
 
-/// A travel into which a run fits, whatever signs the turn will show: said now, not after it.
+/// A travel that suffices for either sign of each axis, so that one that is too small is reported before the
+/// turn.
 std::array<AxisTravel, 2> read_travel(const std::string& answer) {
   const auto stated = parse_travel(answer);
   if (is_enough_for_a_run(stated) &&
@@ -131,7 +132,7 @@ BenchConfig config_of(const BenchDraft& draft) {
   return parse_bench(bench_draft_text(draft), "the new bench file");
 }
 
-/// Asks what the instruments do not tell.
+/// Asks for what the instruments do not report.
 void ask_person(InitCommand& command, BenchDraft& draft) {
   const Question travel{"How far may each axis turn with this cable?",
                         "  Degrees from where it is homed, as its controller counts: -100 365 for both\n"
@@ -152,8 +153,8 @@ void ask_person(InitCommand& command, BenchDraft& draft) {
                             command.operator_name, parse_operator);
 }
 
-/// Where an axis stands and how far it may go.
-/// @throws InstrumentError if it stands where it may not, as stated
+/// Position and travel of an axis.
+/// @throws InstrumentError if it is outside its stated travel
 std::string axis_text(Bench& bench, const BenchConfig& config, const Identities& identities, StageAxis axis) {
   const StageAxisInfo& info = identities.stage.axes[index(axis)];
   const std::string allowed =
@@ -175,7 +176,7 @@ std::string axis_text(Bench& bench, const BenchConfig& config, const Identities&
                  "  ", "     ", kTerminalColumns);
 }
 
-/// Tells what will move and how far, then asks; a hand on the switch answers.
+/// Prints what will move and how far, then asks for confirmation by a person at the emergency stop.
 void confirm_motion(const InitCommand& command, const std::string& axes) {
   print_log(
       "\nBefore anything moves:\n{}"
@@ -191,7 +192,7 @@ void confirm_motion(const InitCommand& command, const std::string& axes) {
     throw RunInterrupted("the turn was not confirmed: nothing has moved");
 }
 
-/// The readings of the small turn, and what else the instruments told.
+/// The readings of the small turn, and what else the instruments reported.
 struct Turned {
   LearnedMounting learned;
   std::string stage_name, accelerometer_name;
@@ -240,7 +241,7 @@ void print_learned(const Turned& turned) {
                learned.sign_z);
 }
 
-/// Tells by how much U of a run would fall if sizes were stated that are defaults now.
+/// Prints how much each unstated size costs.
 void print_costs(const BenchConfig& config, const Turned& turned) {
   constexpr double kLeastNoise = 1e-7;  // Readings without any noise determine no uncertainty.
   KnownItem item{.noise = std::max(turned.noise, kLeastNoise)};
@@ -267,7 +268,7 @@ std::string typed_word(const std::string& text) {
   return text.find_first_not_of(kPlain) == std::string::npos && !text.empty() ? text : shell_word(text);
 }
 
-/// The command that gives the same answers, except that somebody is at the switch.
+/// The command that gives the same answers, except the confirmation of the motion.
 std::string same_answers(const InitCommand& command) {
   std::string words = "abcal init";
   const std::vector<std::pair<std::string, std::string>> options{
@@ -324,12 +325,12 @@ BenchDraft describe_bench(InitCommand& command, Instruments& instruments) {
   return draft;
 }
 
-/// Turns and learns. However it fails, the person is told that nothing is written, and how to go on from
-/// here.
+/// Makes the small turn and learns the mounting. After any failure it prints that nothing is written, and how
+/// to continue.
 Turned turn_or_tell(const InitCommand& command, const BenchDraft& draft, bool is_emulated) {
   try {
     return turn_and_learn(command, config_of(draft), is_emulated);
-  } catch (const std::exception&) {  // Whoever called says why.
+  } catch (const std::exception&) {  // The caller reports the reason.
     print_log("\nNo bench file is written. The same answers again:\n  {}\n", same_answers(command));
     throw;
   }

@@ -13,6 +13,7 @@
 #include "app/ground/document/valid_text.h"
 #include "app/operate/session/small_turn.h"
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
 
@@ -29,13 +30,11 @@ double number(std::string_view word, std::string_view what) {
     if (word.starts_with(dash))
       throw std::invalid_argument(
           fmt::format("{}: found \"{}\"; required: a number with - as its minus sign", what, word));
-  double value = 0.0;
-  const std::string_view digits = word.starts_with('+') ? word.substr(1) : word;
-  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
-  if (error != std::errc() || end != digits.data() + digits.size() || !std::isfinite(value))
+  const auto value = pieces::number<double>(word.starts_with('+') ? word.substr(1) : word);
+  if (!value || !std::isfinite(*value))
     throw std::invalid_argument(
         fmt::format("{}: found \"{}\"; required: a number without a unit", what, word));
-  return value;
+  return *value;
 }
 
 double number_within(std::string_view word, std::string_view what, double least, double most) {
@@ -91,7 +90,7 @@ PlaceAnswer parse_place(std::string_view text) {
   PlaceAnswer place;
   if (words.size() == 3 && words[0] == "g") {
     place.g_loc_mps2 = number_within(words[1], "local gravity (m/s2)", 9.5, 10.0);
-    constexpr double kLeastUncertainty = 1e-9;  // m/s2; a survey without any is none.
+    constexpr double kLeastUncertainty = 1e-9;  // m/s2; a survey has an uncertainty.
     place.expanded_uncertainty_mps2 =
         number_within(words[2], "its expanded uncertainty (m/s2)", kLeastUncertainty, 1.0);
     return place;

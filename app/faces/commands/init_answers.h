@@ -11,7 +11,7 @@
 
 namespace abcal {
 
-/// Where the bench stands, or what gravity is there.
+/// The place of the bench, or its local gravity.
 struct PlaceAnswer {
   std::optional<double> latitude_deg, height_m;
   std::optional<double> g_loc_mps2, expanded_uncertainty_mps2;  ///< U, k = 2
@@ -47,7 +47,7 @@ std::vector<Probed> candidates(const std::vector<Probed>& probed, std::string_vi
 
 /// The instrument that an answer means by its number in the list ("2"), by its port, or by an empty answer if
 /// it is the only one.
-/// @return nothing: the answer names another port
+/// @return nullopt if the answer names another port
 std::optional<Probed> chosen(const std::vector<Probed>& list, std::string_view answer);
 
 /// Refuses an instrument that init cannot use in a role, with the reason and what to do.

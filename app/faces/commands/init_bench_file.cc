@@ -10,7 +10,7 @@
 namespace abcal {
 namespace {
 
-/// A string of TOML, whatever bytes an instrument or a person gave.
+/// Any bytes of an instrument or a person as a string of TOML.
 std::string quoted(const std::string& text) {
   return toml_string(text, nlohmann::json::error_handler_t::replace);
 }

@@ -29,7 +29,7 @@ struct BenchDraft {
 /// A travel as the controller counts, in protocol angles: controller angle = sign * protocol angle.
 AxisTravel in_protocol_angles(const AxisTravel& travel, int sign);
 
-/// The bench file, with comments that say where each value comes from. parse_bench() reads it.
+/// The bench file, with comments that state the source of each value. parse_bench() reads it.
 std::string bench_draft_text(const BenchDraft& draft);
 
 }  // namespace abcal

@@ -144,7 +144,7 @@ Probed Instruments::at_port(const std::vector<Probed>& list, const std::string& 
   return *probed;
 }
 
-/// Starts an emulated bench. Its instruments are known, so nobody asks them.
+/// Starts an emulated bench. Its instruments are known and are not asked.
 Probed Instruments::emulated_stage() {
   emulated_ = parse_bench(demo_bench(folder_, 72), "the emulated bench");
   std::filesystem::create_directories(folder_);

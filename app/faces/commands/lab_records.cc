@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cctype>
-#include <charconv>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <stdexcept>
@@ -18,18 +17,16 @@
 #include "app/ground/system/read_file.h"
 #include "app/ground/system/real_clock.h"
 #include "app/laboratory/certificate/signing_certificate.h"
+#include "drivers/text/number.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
 namespace {
 
 double number_of(const std::string& text, const std::string& whole) {
-  double value = 0.0;
-  const char* end = text.data() + text.size();
-  if (text.empty() || std::from_chars(text.data(), end, value).ptr != end)
-    throw std::invalid_argument(
-        fmt::format("--value {}: \"{}\" is not a number; required: NAME=VALUE,U,K,UNIT", whole, text));
-  return value;
+  if (const auto value = pieces::number<double>(text)) return *value;
+  throw std::invalid_argument(
+      fmt::format("--value {}: \"{}\" is not a number; required: NAME=VALUE,U,K,UNIT", whole, text));
 }
 
 /// "step_deg=0.0003,0.0002,2,deg"

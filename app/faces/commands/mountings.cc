@@ -87,7 +87,7 @@ std::string overview(const std::vector<Step>& steps) {
   return text;
 }
 
-/// Tells a person how to mount the item, and waits.
+/// Prints how to mount the item, and waits.
 void have_mounted(const Step& step, std::size_t number, std::size_t of) {
   const SeriesMounting& mounting = step.mounting;
   const std::string what =

@@ -117,7 +117,7 @@ nlohmann::ordered_json prediction_json(const PlanPrediction& plan, const WantedV
 /// The wanted uncertainties, and the bench with its noise.
 struct PlanQuestion {
   WantedValues wanted;
-  std::optional<double> within_s;  ///< Nothing: the shortest plan is asked for.
+  std::optional<double> within_s;  ///< Absent: the shortest plan is requested.
   PlanningBench bench;
 };
 

@@ -33,8 +33,8 @@ void add_reach_options(CLI::App& command, ReachOptions& options);
 /// The given --reach, --time and --noise in one line: "reach s=1e-5, noise 1e-4". Empty: none given.
 std::string question_words(const ReachOptions& options);
 
-/// The plan that they ask for.
-/// @throws std::invalid_argument  a value that is none; noise that is not known
+/// The plan that the options request.
+/// @throws std::invalid_argument  an invalid value; unknown noise
 /// @throws std::runtime_error  out of reach, with the reason
 PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config);
 

@@ -13,6 +13,7 @@
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/terminal.h"
 #include "app/ground/system/version.h"
+#include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -23,23 +24,15 @@ struct SelfTestOptions {
   std::string results;
 };
 
-const char* word_of(SelfCheck::Grade grade) {
-  switch (grade) {
-    case SelfCheck::Grade::kGood:
-      return "good";
-    case SelfCheck::Grade::kNote:
-      return "note";
-    case SelfCheck::Grade::kBad:
-      return "bad";
-  }
-  return "bad";
-}
+constexpr auto kGrades = names<SelfCheck::Grade>(
+    {{SelfCheck::Grade::kGood, "good"}, {SelfCheck::Grade::kNote, "note"}, {SelfCheck::Grade::kBad, "bad"}});
 
 void print_check(const SelfCheck& check) {
   const Emphasis emphasis = check.grade == SelfCheck::Grade::kGood   ? Emphasis::kGood
                             : check.grade == SelfCheck::Grade::kNote ? Emphasis::kWarning
                                                                      : Emphasis::kBad;
-  print_result("{}  {}: {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>4}", word_of(check.grade))),
+  print_result("{}  {}: {}: {}\n",
+               emphasised(stdout, emphasis, fmt::format("{:>4}", kGrades.of(check.grade, "bad"))),
                check.group, check.what, check.found);
 }
 
@@ -71,7 +64,7 @@ int self_test(const SelfTestOptions& options) {
     for (const SelfCheck& check : checks)
       json["checks"].push_back({{"group", check.group},
                                 {"what", check.what},
-                                {"result", word_of(check.grade)},
+                                {"result", kGrades.of(check.grade, "bad")},
                                 {"found", check.found}});
     print_result("{}\n", json.dump(2));
   } else {

@@ -11,15 +11,18 @@
 #include <thread>
 
 #include "app/faces/commands/accelerometer_file.h"
+#include "app/faces/commands/simulate_calibration.h"
 #include "app/faces/commands/simulate_constant_rate.h"
 #include "app/faces/commands/simulate_joint.h"
 #include "app/faces/commands/simulate_robustness.h"
 #include "app/faces/commands/simulate_stage_records.h"
+#include "app/ground/bench_file/bench_config.h"
 #include "app/ground/system/exit_code.h"
 #include "app/ground/system/interrupt.h"
 #include "app/ground/system/output.h"
 #include "app/ground/system/progress.h"
 #include "app/ground/system/real_clock.h"
+#include "app/ground/toml/toml_reader.h"
 #include "app/studies/study/study_figures.h"
 #include "app/studies/study/study_json.h"
 #include "app/studies/study/study_text.h"
@@ -61,9 +64,11 @@ struct SimulateOptions {
   JointStudyOptions joint;
   bool without_mean_step = false;
   std::int64_t benches = RobustnessOptions{}.benches;
-  std::vector<std::string> scenarios;
+  std::vector<std::string> scenarios, kinds;
   std::int64_t pairs = ConstantRateOptions{}.pairs;
   std::int64_t stages = StageRecordOptions{}.stages;
+  bool power = false;
+  std::string bench;
 };
 
 void add_common_options(CLI::App& command, SimulateOptions& options) {
@@ -74,8 +79,9 @@ void add_common_options(CLI::App& command, SimulateOptions& options) {
           "SET", options.set,
           "one of " + sets +
               "; joint: the joint estimator's coverage; robustness: coverage and verdicts on benches that "
-              "break the model; stage-records: faces, mountings and records of a stage; or constant-rate: "
-              "runs at a constant rate")
+              "break the model; stage-records: faces, mountings and records of a stage; constant-rate: "
+              "runs at a constant rate; or calibration: whether the intervals hold on benches that are drawn "
+              "from what is stated")
       ->required();
   command.add_option("--trials", options.trials, "simulations (default: as many as in the paper)");
   command.add_option("--seed", options.seed, "seed of the random numbers")->capture_default_str();
@@ -92,8 +98,9 @@ void add_common_options(CLI::App& command, SimulateOptions& options) {
                    "the stage's resolution of 0.001 degrees instead of its accuracy of 0.008 degrees");
   command.add_flag("--json", options.json, "print one JSON object, schema abcal.study/1");
   command.add_option("--csv", options.csv, "write the outputs of every case to this file");
-  command.add_option("--figures", options.figures,
-                     "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot)");
+  command.add_option(
+      "--figures", options.figures,
+      "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot); calibration: those of the ranks");
 }
 
 void add_joint_options(CLI::App& command, SimulateOptions& options) {
@@ -130,6 +137,21 @@ void add_robustness_options(CLI::App& command, SimulateOptions& options) {
                   "so many items of the first design at a constant rate are measured in steps too")
       ->group("study of constant rates")
       ->capture_default_str();
+  command
+      .add_option("--kinds", options.kinds,
+                  "only these kinds of measurement, separated by commas (default: all)")
+      ->group("study of calibrations")
+      ->delimiter(',');
+  command
+      .add_option(
+          "BENCH", options.bench,
+          "calibration: a bench file, whose measurement is then the only kind; its simulated truth is drawn "
+          "anew for each bench")
+      ->group("study of calibrations");
+  command
+      .add_flag("--power", options.power,
+                "what runs notice of effects that are 3 and 10 times as large as stated, one at a time")
+      ->group("study of calibrations");
   command.add_option("--stages", options.stages, "simulated stages of each experiment")
       ->group("study of stage records")
       ->capture_default_str();
@@ -185,6 +207,28 @@ int run_constant_rate_study(const SimulateOptions& options) {
   study.seed = not_negative("--seed", options.seed);
   study.threads = threads_of(options.threads);
   return simulate_constant_rate(study, options.json);
+}
+
+int run_calibrations(const SimulateOptions& options) {
+  SimulateOptions others = options;
+  if (!options.power) others.figures.clear();
+  require_not_given(others, false, false,
+                    "BENCH, --benches, --kinds, --power, --figures, --seed, --threads and --json");
+  CalibrationOptions study;
+  if (!options.bench.empty()) {
+    if (!options.kinds.empty())
+      throw std::invalid_argument("simulate calibration: found BENCH and --kinds; required: one of them");
+    std::vector<Problem> problems;
+    std::string text = read_text_file(options.bench, "bench file", problems);
+    if (!problems.empty()) throw BenchError(options.bench, std::move(problems));
+    study.bench_file = {options.bench, std::move(text)};
+  }
+  study.benches = static_cast<int>(not_negative("--benches", options.benches));
+  study.kinds = options.kinds;
+  study.seed = not_negative("--seed", options.seed);
+  study.threads = threads_of(options.threads);
+  return options.power ? simulate_power(study, options.json)
+                       : simulate_calibration(study, options.json, options.figures);
 }
 
 int run_joint_study(const SimulateOptions& options) {
@@ -267,10 +311,15 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
   add_joint_options(*command, *options);
   add_robustness_options(*command, *options);
   command->callback([options, &exit_code] {
+    if (!options->bench.empty() && options->set != "calibration")
+      throw std::invalid_argument(
+          fmt::format("simulate {}: found {}; only `simulate calibration` reads a bench file", options->set,
+                      options->bench));
     exit_code = options->set == "robustness"      ? run_robustness_study(*options)
                 : options->set == "joint"         ? run_joint_study(*options)
                 : options->set == "stage-records" ? run_stage_record_study(*options)
                 : options->set == "constant-rate" ? run_constant_rate_study(*options)
+                : options->set == "calibration"   ? run_calibrations(*options)
                                                   : run_set(*options);
   });
   return command;

@@ -27,6 +27,7 @@
 #include "protocol/estimators/series/series_result.h"
 #include "protocol/estimators/series/stage_curves.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -56,9 +57,8 @@ std::string curve_words(const std::vector<StageCurvePoint>& curve, double unit, 
     most = std::max(most, std::abs(point.value));
     u.push_back(point.standard_uncertainty);
   }
-  std::ranges::nth_element(u, u.begin() + static_cast<std::ptrdiff_t>(u.size() / 2));
   return fmt::format("up to {:.2g} {} at {} angles, u {:.1g}", unit * most, name, curve.size(),
-                     unit * u[u.size() / 2]);
+                     unit * median(std::move(u)));
 }
 
 std::string record_text(const StageRecord& record, const std::string& file) {

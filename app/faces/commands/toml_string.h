@@ -6,7 +6,7 @@
 namespace abcal {
 
 /// A string of TOML: the escapes of JSON are among those of TOML.
-/// @param not_utf8  what becomes of bytes that are not UTF-8
+/// @param not_utf8  treatment of bytes that are not UTF-8
 /// @throws nlohmann::json::type_error for them, if `not_utf8` is strict
 inline std::string toml_string(const std::string& text, nlohmann::json::error_handler_t not_utf8 =
                                                             nlohmann::json::error_handler_t::strict) {

@@ -24,7 +24,7 @@ struct AccessRules {
 /// The headers of a request that decide on access. Empty: absent.
 struct Caller {
   std::string_view host;           ///< Header Host.
-  std::string_view origin;         ///< Header Origin: the page that asks; only browsers say it.
+  std::string_view origin;         ///< Header Origin: the page that asks; only browsers send it.
   std::string_view cookie;         ///< Header Cookie.
   std::string_view authorization;  ///< Header Authorization.
   std::string address;             ///< This end of the connection: "127.0.0.1", "[::1]".

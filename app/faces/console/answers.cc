@@ -4,7 +4,6 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <optional>
 #include <utility>
@@ -18,6 +17,7 @@
 #include "app/laboratory/compare/chart_report.h"
 #include "app/laboratory/register/register.h"
 #include "app/results/estimates/load_record.h"
+#include "drivers/text/number.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -30,7 +30,7 @@ constexpr std::size_t kMostKept = 16 * 1024 * 1024;
 /// Number of analyses at a time; a bench runs on two processors at least.
 constexpr std::size_t kAnalysts = 2;
 
-/// Columns of pixels of a chart, if the page does not say; a very wide screen.
+/// Columns of pixels of a chart, if the page does not state them; a very wide screen.
 constexpr std::size_t kColumns = 1200, kMostColumns = 4000;
 
 /// Rows of a page of the list of runs, at most.
@@ -39,22 +39,13 @@ constexpr std::size_t kMostRows = 500;
 /// A bench of a tile answers within this time, or is shown as silent.
 constexpr std::chrono::milliseconds kPatienceWithTile{500};
 
-/// A whole number; nothing: the text is none.
-template <class Number>
-std::optional<Number> parse_number(const std::string& text) {
-  Number number{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return number;
-}
-
-/// The number of an item; nothing: the text is no such number.
+/// The number of an item; nullopt if the text is not one.
 std::optional<int> item_of(const std::string& text) {
-  const auto item = parse_number<int>(text);
+  const auto item = pieces::number<int>(text);
   return item && *item >= 1 && *item <= static_cast<int>(kMostItems) ? item : std::nullopt;
 }
 
-/// The fields after "?"; nothing: they cannot be read.
+/// The fields after "?"; nullopt if they cannot be parsed.
 auto query_of(const HttpRequest& request) {
   const std::string_view target = view(request.target());
   const std::size_t query = target.find('?');
@@ -243,7 +234,7 @@ bool Answers::order_list_of_runs(const Asked& asked, const std::vector<std::stri
     } else if (key == "bench") {
       page.bench = value;
     } else if (key == "from" || key == "count") {
-      const auto number = parse_number<std::size_t>(value);
+      const auto number = pieces::number<std::size_t>(value);
       if (!number) return false;
       if (key == "from") page.from = *number;
       if (key == "count") page.count = std::min(*number, kMostRows);
@@ -265,7 +256,7 @@ bool Answers::order_readings(const Asked& asked, const std::vector<std::string>&
   std::optional<std::size_t> position;
   std::size_t columns = kColumns;
   for (const auto& [key, value] : *fields) {
-    const auto number = parse_number<std::size_t>(value);
+    const auto number = pieces::number<std::size_t>(value);
     if (!number || (key != "position" && key != "columns")) return false;
     if (key == "position") position = number;
     if (key == "columns") columns = std::clamp<std::size_t>(*number, 1, kMostColumns);

@@ -13,7 +13,7 @@ namespace abcal::console {
 
 /// The register and the laboratory file that certificates are issued from.
 struct ApprovalPlace {
-  std::string register_location;          ///< Empty: there is none.
+  std::string register_location;          ///< Empty: no register.
   std::filesystem::path laboratory_file;  ///< Empty: none was given.
 };
 
@@ -26,7 +26,7 @@ struct ApprovalForm {
   std::string amendment;           ///< "administrative" or "technical"; empty: none.
 };
 
-/// The run has changed since the form was opened, or another certificate was issued; what() says which.
+/// The run has changed since the form was opened, or another certificate was issued; what() states which.
 class StaleApproval : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

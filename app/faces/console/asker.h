@@ -9,7 +9,7 @@ namespace abcal::console {
 /// The page and the person that request something at the bench.
 struct Asker {
   std::string page;   ///< "page 3 at 127.0.0.1:50000"
-  RunOperator who;    ///< The person of the register who is logged in there; no name: nobody is.
+  RunOperator who;    ///< The person of the register who is logged in there; without a name: nobody.
   std::string login;  ///< Secret by which the register knows the person.
 
   /// For people: "Operator N. N., page 3 at 127.0.0.1:50000".

@@ -7,9 +7,11 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/detached_process.h"
 #include "app/ground/system/helper_program.h"
 #include "app/ground/system/output.h"
+#include "drivers/text/names.h"
 
 namespace abcal::console {
 namespace {
@@ -27,20 +29,15 @@ LinkJson json_of(const Asker& by) {
       {"by", by.page}, {"name", by.who.name}, {"register", by.who.register_identity}, {"login", by.login}};
 }
 
+constexpr auto kStates = names<BenchState>({{BenchState::kStarting, "starting"},
+                                            {BenchState::kOn, "on"},
+                                            {BenchState::kSilent, "silent"},
+                                            {BenchState::kGone, "gone"}});
+
 }  // namespace
 
 std::string_view to_string(BenchState state) {
-  switch (state) {
-    case BenchState::kStarting:
-      return "starting";
-    case BenchState::kOn:
-      return "on";
-    case BenchState::kSilent:
-      return "silent";
-    case BenchState::kGone:
-      return "gone";
-  }
-  return "";
+  return kStates.of(state);
 }
 
 BenchLink::BenchLink(boost::asio::io_context& io, Options options, Listener listener)
@@ -140,7 +137,7 @@ void BenchLink::lost() {
   try_again(kRetry);
 }
 
-/// Checks each second whether the other end is still heard.
+/// Checks each second whether the other end still sends.
 void BenchLink::watch() {
   next_watch_.expires_after(kWatchInterval);
   next_watch_.async_wait([this](boost::system::error_code cancelled) {
@@ -165,16 +162,14 @@ void BenchLink::ask_snapshot() {
 }
 
 void BenchLink::control_taken(const Asker& by) {
-  if (channel_)
-    channel_->send(bench_line::kControl,
-                   json_of(by).dump(-1, ' ', false, LinkJson::error_handler_t::replace));
+  if (channel_) channel_->send(bench_line::kControl, json_text(json_of(by)));
 }
 
 void BenchLink::request(std::uint64_t id, const Asker& by, const Request& request) {
   LinkJson json = json_of(by);
   json["id"] = id;
   json["request"] = request.json;
-  channel_->send(bench_line::kRequest, json.dump(-1, ' ', false, LinkJson::error_handler_t::replace));
+  channel_->send(bench_line::kRequest, json_text(json));
 }
 
 bool BenchLink::close_bench() {

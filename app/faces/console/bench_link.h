@@ -24,7 +24,7 @@ namespace abcal::console {
 enum class BenchState {
   kStarting,  ///< Not found yet; it is being started.
   kOn,
-  kSilent,  ///< Connected, but it has not said anything for 3 s.
+  kSilent,  ///< Connected, but nothing was received for 3 s.
   kGone,    ///< It has died, or cannot be started.
 };
 std::string_view to_string(BenchState state);
@@ -52,15 +52,15 @@ class BenchLink {
   bool is_on() const { return channel_ != nullptr; }
   void ask_snapshot();
   void request(std::uint64_t id, const Asker& by, const Request& request);
-  /// Tells the process who steers from now on.
+  /// Reports to the process who steers from now on.
   void control_taken(const Asker& by);
-  /// Stops the current activity, halts the stage and ends the process. @return false: there is no process
+  /// Stops the current activity, halts the stage and ends the process. @return false if there is no process
   bool close_bench();
   /// Waits for the end of the process that was started here, once nothing runs in the thread of `io` any
   /// more.
   /// @return false: it has not ended after `longest`
   bool wait_for_process(std::chrono::milliseconds longest);
-  /// Disconnects; the process goes on alone.
+  /// Disconnects; the process continues alone.
   void leave();
 
  private:

@@ -27,6 +27,7 @@
 #include "app/faces/console/live_view.h"
 #include "app/faces/console/queue_desk.h"
 #include "app/faces/console/run_library.h"
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/real_clock.h"
 #include "app/ground/system/version.h"
 #include "protocol/record/run_file.h"
@@ -45,10 +46,6 @@ constexpr std::size_t kMostLines = 2000;
 constexpr std::chrono::seconds kBenchBeat{1};
 /// The default socket of a bench is the name of its file with this end, hidden.
 constexpr std::string_view kSocketEnd = ".bench";
-
-std::string text_of_json(const Json& json) {
-  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
-}
 
 /// Reads the person and page that BenchLink has written. An older console states the page only.
 Asker asker_of(const Json& json) {
@@ -218,7 +215,7 @@ void BenchService::Impl::receive(Console& console, std::string_view line) {
   } catch (const std::exception& error) {
     reply["why"] = error.what();
   }
-  console.channel->send(bench_line::kReply, text_of_json(reply));
+  console.channel->send(bench_line::kReply, json_text(reply));
 }
 
 Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& command) {
@@ -283,12 +280,12 @@ void BenchService::Impl::broadcast(const std::string& message) {
   }
 }
 
-/// Sends a beat each second: a page that hears it knows that everything in between is alive.
+/// Sends a beat each second: a page that receives it knows that everything in between is alive.
 void BenchService::Impl::beat() {
   next_beat.expires_after(kBenchBeat);
   next_beat.async_wait([this](boost::system::error_code cancelled) {
     if (cancelled) return;
-    broadcast(text_of_json({{"type", "beat"}, {"utc", format_utc(clock.utc_now())}}));
+    broadcast(json_text({{"type", "beat"}, {"utc", format_utc(clock.utc_now())}}));
     beat();
   });
 }
@@ -311,7 +308,7 @@ void BenchService::Impl::begin_end() {
     asio::post(io, [this, stopped] {
       was_on = stopped;
       for (const auto& console : consoles)
-        console->channel->send(bench_line::kEnd, text_of_json({{"was_on", stopped}}));
+        console->channel->send(bench_line::kEnd, json_text({{"was_on", stopped}}));
       finish();
     });
   });

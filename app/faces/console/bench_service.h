@@ -20,12 +20,12 @@ class BenchIsHeld : public std::runtime_error {
 
 /// Default socket of the process that holds a bench: in the run folder, named after the bench file.
 std::filesystem::path default_bench_socket(const Session::Options& bench);
-/// The name of the bench whose default socket has this name; nothing: it is no such name.
+/// The name of the bench whose default socket has this name; nullopt if the file name is not a bench socket.
 std::optional<std::string> bench_of_socket(const std::string& file);
 
 /// Holds a bench for consoles, in a process of its own: the instruments, the measuring thread, and the state
-/// that pages show. Consoles come and go over a Unix socket that only this user can reach; an activity goes
-/// on without any console. Each bench has at most one such process.
+/// that pages show. Consoles connect and disconnect over a Unix socket that only this user can reach; an
+/// activity continues without any console. Each bench has at most one such process.
 class BenchService {
  public:
   struct Options {

@@ -76,7 +76,7 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   /// Behind a proxy each request may come from another client.
   void identify_client(const HttpRequest& request);
   void ask_register(const std::string& login);
-  /// @param person  null: nobody who is logged in
+  /// @param person  null if nobody is logged in
   void admit(const Persons::Known& person);
   void carry_out(Slow slow);
   void carry_out_order(Slow slow);

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "app/faces/console/bench_service.h"
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output.h"
 #include "protocol/record/run_file.h"
 
@@ -28,15 +29,11 @@ SharedText shared(std::string text) {
   return std::make_shared<const std::string>(std::move(text));
 }
 
-std::string text_of(const Json& json) {
-  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
-}
-
 /// @param why  the reason of a refusal; empty: the request was accepted
 std::string reply_to(std::uint64_t id, const std::string& why) {
   Json reply = {{"type", "reply"}, {"id", id}, {"ok", why.empty()}};
   if (!why.empty()) reply["why"] = why;
-  return text_of(reply);
+  return json_text(reply);
 }
 
 }  // namespace
@@ -61,7 +58,7 @@ Control::Control(ServerCommon& common, Session::Options bench) : common_(common)
 /// The guards of the stage know more of an axis, or less.
 void Control::receive_guard(const GuardWatch::Known& known) {
   guard_ = known;
-  const SharedText text = shared(text_of(guard_.message));
+  const SharedText text = shared(json_text(guard_.message));
   for (const std::shared_ptr<Page>& page : pages_) page->send(text);
   if (stop_asked_at_ && known.is_at_rest && known.message.contains("halted")) confirm_stop();
 }
@@ -69,10 +66,10 @@ void Control::receive_guard(const GuardWatch::Known& known) {
 /// The guard has halted the stage in place of the process that holds the bench.
 void Control::confirm_stop() {
   const double took_s = to_seconds(common_.clock.now() - *std::exchange(stop_asked_at_, std::nullopt));
-  broadcast(text_of({{"type", "halt"},
-                     {"axes", {{"x", "halted"}, {"z", "halted"}}},
-                     {"took_s", took_s},
-                     {"since", format_utc(common_.clock.utc_now())}}));
+  broadcast(json_text({{"type", "halt"},
+                       {"axes", {{"x", "halted"}, {"z", "halted"}}},
+                       {"took_s", took_s},
+                       {"since", format_utc(common_.clock.utc_now())}}));
   for (auto passed = passed_on_.begin(); passed != passed_on_.end();) {
     const std::shared_ptr<Page> page = passed->second.is_stop ? passed->second.page.lock() : nullptr;
     if (page) page->reply(reply_to(passed->second.id, ""));
@@ -99,10 +96,10 @@ void Control::receive_snapshot(std::string_view json) {
 }
 
 std::string Control::bench_message() const {
-  return text_of({{"type", "bench"}, {"state", to_string(bench_state_)}, {"words", bench_words_}});
+  return json_text({{"type", "bench"}, {"state", to_string(bench_state_)}, {"words", bench_words_}});
 }
 
-/// The process that holds the bench has come or gone.
+/// The process that holds the bench has started or ended.
 void Control::receive_state(BenchState state, const std::string& words) {
   bench_state_ = state;
   bench_words_ = words;
@@ -112,7 +109,7 @@ void Control::receive_state(BenchState state, const std::string& words) {
     for (const auto& [number, lost] : std::exchange(passed_on_, {})) {
       if (const std::shared_ptr<Page> page = lost.page.lock())
         page->reply(
-            text_of({{"type", "reply"}, {"id", lost.id}, {"ok", false}, {"lost", true}, {"why", words}}));
+            json_text({{"type", "reply"}, {"id", lost.id}, {"ok", false}, {"lost", true}, {"why", words}}));
     }
   }
   if (state != BenchState::kOn) return;
@@ -162,13 +159,13 @@ void Control::join(const std::shared_ptr<Page>& page) {
   page->heard = common_.clock.now();
   pages_.insert(page);
   const Visitor& visitor = page->visitor();
-  page->send(shared(text_of({{"type", "you"},
-                             {"number", page->number},
-                             {"person", visitor.who.name},
-                             {"may_steer", visitor.may_steer}})));
+  page->send(shared(json_text({{"type", "you"},
+                               {"number", page->number},
+                               {"person", visitor.who.name},
+                               {"may_steer", visitor.may_steer}})));
   broadcast(control_message());  // Who watches has changed.
   if (bench_state_ != BenchState::kOn) page->send(shared(bench_message()));
-  if (!guard_.message.is_null()) page->send(shared(text_of(guard_.message)));
+  if (!guard_.message.is_null()) page->send(shared(json_text(guard_.message)));
   send_snapshot(*page);
 }
 
@@ -273,7 +270,7 @@ std::string Control::control_message() const {
     message["who"] = controller_->asker().for_people();
     message["silent"] = controller_silent_;
   }
-  return text_of(message);
+  return json_text(message);
 }
 
 void Control::give_control(Page* page) {
@@ -283,7 +280,7 @@ void Control::give_control(Page* page) {
   broadcast(control_message());
 }
 
-/// Why this page may not steer; nothing: it may.
+/// Why this page may not steer; nullopt if it may.
 Session::Refusal Control::not_allowed(const Page& page) {
   if (page.visitor().may_steer) return std::nullopt;
   return fmt::format("{} may watch and stop, but not steer; required: a person with the right to measure",

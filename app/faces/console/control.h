@@ -87,7 +87,7 @@ class Control {
   bool controller_silent_ = false;
   Page* asking_ = nullptr;  ///< A page that asks for control.
   std::int64_t pages_so_far_ = 0;
-  GuardWatch::Known guard_;                      ///< As the guards told last.
+  GuardWatch::Known guard_;                      ///< Last report of the guards.
   std::optional<Clock::Instant> stop_asked_at_;  ///< A Stop that neither bench nor guard has confirmed yet.
   std::unique_ptr<GuardWatch> guard_watch_;      ///< Last: its thread ends before the members that it uses.
 };

@@ -49,7 +49,7 @@ std::string certificate(const ItemOfRun& of, const std::stop_token&) {
 /// The document that `abcal report` shows of a run: its certificate if one was issued.
 struct Shown {
   std::string html;
-  std::string certificate_xml;  ///< Empty: there is none.
+  std::string certificate_xml;  ///< Empty: no certificate.
 };
 
 Shown shown(const ItemOfRun& of, const std::stop_token& cancelled) {

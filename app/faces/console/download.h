@@ -19,8 +19,8 @@ struct Download {
   std::string name;          ///< Last part of the path, and ending of the file's name: "readings.csv".
   std::string words;         ///< "Averaged readings (CSV)"
   std::string content_type;  ///< "text/csv; charset=utf-8"
-  /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. The text of its exceptions is
-  /// shown to the person.
+  /// Called in a thread of a pool; `cancelled`: no client waits for it any more. The text of its exceptions
+  /// is shown to the person.
   std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
   /// Whether an item of a run has it; null: each has.
   std::function<bool(const ItemOfRun& of)> available;

@@ -28,7 +28,7 @@ std::optional<std::string> address_of_node(std::string text) {
   return plain_address(text);
 }
 
-/// The node of for=... in one element of Forwarded; nothing where there is none.
+/// The node of for=... in one element of Forwarded; nullopt if absent.
 std::optional<std::string> node_of_element(const std::string& element) {
   for (const std::string& pair : split_list(element, ';')) {
     if (!boost::algorithm::istarts_with(pair, "for=")) continue;

@@ -16,12 +16,12 @@ struct ForwardedHeaders {
 /// The client whose request a proxy has passed on: the last address in the header that is not a trusted
 /// proxy.
 /// @param proxies  addresses of trusted proxies, as plain_address() writes them
-/// @return nothing if the headers say nothing that can be relied on: both are there, or one cannot be read.
+/// @return nullopt if the headers are not reliable: both are present, or one cannot be parsed.
 std::optional<std::string> forwarded_client(const ForwardedHeaders& headers,
                                             const std::vector<std::string>& proxies);
 
 /// "192.0.2.1", "2001:db8::1": an address as this program writes it; an IPv4 address in IPv6 is IPv4.
-/// @return nothing for what is no address
+/// @return nullopt if the text is not an address
 std::optional<std::string> plain_address(std::string_view text);
 
 }  // namespace abcal::console

@@ -86,7 +86,7 @@ GuardWatch::Known GuardWatch::ask(const Json& question) {
       }
       if (const std::string why = answer.value("halted", ""); !why.empty()) known.message["halted"] = why;
     }
-    // A process that has ended and whose guards have ended is of no interest any more.
+    // A process is forgotten once it and its guards have ended.
     if (answers.empty() && *owner != holder)
       owner = owners_.erase(owner);
     else

@@ -8,6 +8,7 @@
 
 #include "app/faces/console/asset.h"
 #include "app/faces/console/visible_text.h"
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output.h"
 #include "drivers/wire/readable_bytes.h"
 
@@ -17,8 +18,7 @@ namespace {
 namespace http = boost::beast::http;
 
 std::string answer_text(const nlohmann::ordered_json& body) {
-  return with_visible_direction_controls(
-      body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
+  return with_visible_direction_controls(json_text(body));
 }
 
 std::string_view content_type(std::string_view path) {

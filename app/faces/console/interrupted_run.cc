@@ -74,7 +74,7 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
     interrupted.items = static_cast<std::size_t>(std::ranges::count_if(run.items, takes_part));
     return interrupted;
   } catch (const RunFileError&) {
-    return std::nullopt;  // The list of runs says why it cannot be read.
+    return std::nullopt;  // The list of runs reports why it cannot be read.
   }
 }
 

@@ -27,7 +27,7 @@ struct JoggedStage {
   Angle turn_while_held(const Jog& jog) const;
 };
 
-/// The button was let go while the axis turned.
+/// The button was released while the axis turned.
 struct LetGo {};
 
 void JoggedStage::wait_until_stopped(StageAxis axis, double longest_s) const {
@@ -60,8 +60,8 @@ void JoggedStage::go(StageAxis axis, Angle from, Angle target) const {
   wait_until_stopped(axis, expected_s + protocol.motion_timeout_s);
 }
 
-/// Turns towards the end of the travel until the button is let go; then the axis is halted, and its
-/// controller is asked until it says that the axis stands.
+/// Turns towards the end of the travel until the button is released; then halts the axis, and asks its
+/// controller until it reports that the axis has stopped.
 Angle JoggedStage::turn_while_held(const Jog& jog) const {
   const StageAxisInfo axis = info(jog.axis);
   if (!axis.referenced)

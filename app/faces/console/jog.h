@@ -14,9 +14,9 @@
 namespace abcal::console {
 
 /// A button that a person holds while an axis turns. The page sends a sign of life each 100 ms as long as it
-/// is held. If the button is let go, or no sign of life has come for 300 ms, for whatever reason, `let_go()`
-/// is stopped. Its callbacks run in a thread of their own, so that a controller that does not answer delays
-/// no halt.
+/// is held. If the button is released, or no sign of life has arrived for 300 ms for any reason, a stop is
+/// requested through `let_go()`. Its callbacks run in a thread of their own, so that a controller that does
+/// not answer delays no halt.
 class HeldButton {
  public:
   static constexpr std::chrono::milliseconds kLongestSilence{300};
@@ -43,12 +43,12 @@ class HeldButton {
 
 /// The requests that end a jog before its target.
 struct JogEnd {
-  std::stop_token stop;      ///< Somebody has asked for Stop.
+  std::stop_token stop;      ///< Stop was requested.
   std::stop_token let_go{};  ///< HeldButton::let_go(), for a jog while a button is held.
 };
 
 /// Turns one axis, after homing it if it is not homed; for a jog while a button is held it must be homed.
-/// Returns when the controller says that it has stopped.
+/// Returns when the controller reports that it has stopped.
 /// @return where it stopped, by its encoder.
 /// @throws InstrumentError, RunInterrupted; the stage is halted then.
 Angle turn_axis(const Jog& jog, RotationStage& stage, Clock& clock, const ProtocolConfig& protocol,

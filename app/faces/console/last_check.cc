@@ -5,6 +5,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output_file.h"
 
 namespace abcal::console {
@@ -27,8 +28,7 @@ bool keep_check(const std::filesystem::path& runs, const std::filesystem::path& 
                           {"warnings", check.warnings},
                           {"problems", check.problems}};
   try {
-    OutputFile(check_file(runs, bench_file))
-        .write(json.dump(-1, ' ', false, CheckJson::error_handler_t::replace));
+    OutputFile(check_file(runs, bench_file)).write(json_text(json));
   } catch (const std::runtime_error&) {
     return false;
   }

@@ -17,10 +17,10 @@ struct LastCheck {
   std::size_t good = 0, warnings = 0, problems = 0;
 };
 
-/// Stores the outcome of a check. @return false if it cannot be stored, which is no failure of the check
+/// Stores the outcome of a check. @return false if it cannot be stored, which does not fail the check
 bool keep_check(const std::filesystem::path& runs, const std::filesystem::path& bench_file,
                 const LastCheck& check);
-/// The stored check of a bench; nothing: none is known.
+/// The stored check of a bench; nullopt if there is none.
 std::optional<LastCheck> last_check(const std::filesystem::path& runs,
                                     const std::filesystem::path& bench_file);
 

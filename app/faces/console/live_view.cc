@@ -10,11 +10,14 @@
 
 #include "app/faces/console/flag_words.h"
 #include "app/faces/console/visible_text.h"
+#include "app/ground/document/json_text.h"
 #include "app/operate/bench/guarded_stage.h"
 #include "app/results/estimates/result_json.h"
+#include "drivers/text/names.h"
 #include "protocol/estimators/circle/harmonic_fit.h"
 #include "protocol/plan/faces.h"
 #include "protocol/record/run_file.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal::console {
 namespace {
@@ -32,41 +35,24 @@ Json vector(const Eigen::Vector3d& v) {
   return Json::array({json_number(v[0]), json_number(v[1]), json_number(v[2])});
 }
 
-std::string_view name(Activity activity) {
-  switch (activity) {
-    case Activity::kIdle:
-      return "idle";
-    case Activity::kChecking:
-      return "checking";
-    case Activity::kRunning:
-      return "running";
-    case Activity::kJogging:
-      return "jogging";
-    case Activity::kAnalysing:
-      return "analysing";
-  }
-  return "";
-}
+constexpr auto kActivities = names<Activity>({{Activity::kIdle, "idle"},
+                                              {Activity::kChecking, "checking"},
+                                              {Activity::kRunning, "running"},
+                                              {Activity::kJogging, "jogging"},
+                                              {Activity::kAnalysing, "analysing"}});
 
-std::string_view name(LogLine::Grade grade) {
-  switch (grade) {
-    case LogLine::Grade::kInfo:
-      return "info";
-    case LogLine::Grade::kWarning:
-      return "warning";
-    case LogLine::Grade::kProblem:
-      return "problem";
-  }
-  return "";
-}
+constexpr auto kGrades = names<LogLine::Grade>({{LogLine::Grade::kInfo, "info"},
+                                                {LogLine::Grade::kWarning, "warning"},
+                                                {LogLine::Grade::kProblem, "problem"}});
 
 Json stage_json(const StageSeen& seen) {
   return {{"encoder_deg", degrees(seen.encoder)}, {"target_deg", degrees(seen.target)}};
 }
 
 Json activity_json(const ActivitySeen& seen) {
-  return {
-      {"activity", name(seen.activity)}, {"hold_asked", seen.hold_asked}, {"stop_asked", seen.stop_asked}};
+  return {{"activity", kActivities.of(seen.activity)},
+          {"hold_asked", seen.hold_asked},
+          {"stop_asked", seen.stop_asked}};
 }
 
 Json halt_json(const HaltSeen& seen) {
@@ -160,7 +146,7 @@ struct LineOf {
 };
 
 /// Whether an event needs no message: pages know it from the phase or the activity, and see no replay.
-bool is_known_otherwise(const SessionEvent& event) {
+bool needs_no_message(const SessionEvent& event) {
   return std::holds_alternative<AngleBegunEvent>(event) || std::holds_alternative<HeldEvent>(event) ||
          std::holds_alternative<ContinuedEvent>(event) || std::holds_alternative<AllMeasuredEvent>(event) ||
          std::holds_alternative<ReplayComparedEvent>(event);
@@ -168,7 +154,7 @@ bool is_known_otherwise(const SessionEvent& event) {
 
 /// The text of a message. Replaces bytes that are not UTF-8, which instruments may report.
 std::string text_of(const Json& message) {
-  return with_visible_direction_controls(message.dump(-1, ' ', false, Json::error_handler_t::replace));
+  return with_visible_direction_controls(json_text(message));
 }
 
 }  // namespace
@@ -202,7 +188,7 @@ Json LiveView::on(const SessionEvent& event) {
   // The small turn of a check belongs to no run.
   const bool is_dwell = std::holds_alternative<DwellDoneEvent>(event);
   if (is_dwell && (activity_.activity != Activity::kRunning || !run_)) return nullptr;
-  if (is_known_otherwise(event)) return nullptr;
+  if (needs_no_message(event)) return nullptr;
   const Json more = std::visit([this](const auto& each) { return fold(each); }, event);
   Json message = to_json_object(event);
   message.update(more);
@@ -340,12 +326,7 @@ Json LiveView::progress() const {
   if (total > 0) {
     const auto missing = static_cast<double>(total - std::min(total, measured));
     double each = run_->estimated_s / pace() / static_cast<double>(total);
-    if (dwell_intervals_s_.size() >= 3) {
-      std::vector<double> intervals(dwell_intervals_s_.begin(), dwell_intervals_s_.end());
-      const auto middle = intervals.begin() + static_cast<std::ptrdiff_t>(intervals.size() / 2);
-      std::nth_element(intervals.begin(), middle, intervals.end());
-      each = *middle;
-    }
+    if (dwell_intervals_s_.size() >= 3) each = median({dwell_intervals_s_.begin(), dwell_intervals_s_.end()});
     remaining = json_number(missing * each);
   }
   return {{"measured", measured}, {"total", total}, {"left_s", remaining}};
@@ -383,7 +364,8 @@ Json LiveView::on(const StripSeen& seen) {
 }
 
 Json LiveView::keep(const LogLine& line) {
-  Json entry = {{"utc", format_utc(clock_.utc_now())}, {"grade", name(line.grade)}, {"text", line.text}};
+  Json entry = {
+      {"utc", format_utc(clock_.utc_now())}, {"grade", kGrades.of(line.grade)}, {"text", line.text}};
   log_.push_back(entry);
   if (log_.size() > kKeptLog) log_.pop_front();
   return entry;

@@ -30,7 +30,7 @@ class LiveView {
   void offer(std::optional<InterruptedRun> run) { interrupted_ = std::move(run); }
 
   /// @param seen  when the measuring thread reported the event, in real time
-  /// @return the message; empty: pages need not be told
+  /// @return the message for pages; empty if none is needed
   std::string apply(const Event& event, Clock::UtcTime seen = {});
   std::string snapshot() const;
 

@@ -95,7 +95,7 @@ HttpResponse Logins::ask_who(const Asked& asked, const std::string& path) {
 
 void Logins::set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
                         const std::string& value, std::chrono::seconds life) const {
-  // A browser that speaks TLS to a proxy says so in its origin, which is known to be ours.
+  // The origin shows whether the browser speaks TLS to a proxy; it is known to be ours.
   const bool secure = asked.peer.secure || view(asked.request[http::field::origin]).starts_with("https://");
   response.insert(http::field::set_cookie,
                   fmt::format("{}={}; HttpOnly; SameSite=Strict; Path=/; Max-Age={}{}", name, value,
@@ -239,7 +239,7 @@ void Logins::check(const std::vector<std::string>& of_pages) {
     try {
       over = register_of_persons::ended(common_.options.register_location, logins, now);
     } catch (const std::exception& lost) {
-      // A register that cannot be read ends no login: persons go on, and may stop the stage.
+      // A register that cannot be read does not end a login: persons continue, and may stop the stage.
       print_warning(fmt::format("console: the register cannot be read: {}", lost.what()));
     }
     boost::asio::post(common_.io, [this, over] {

@@ -36,7 +36,7 @@ class Logins {
   std::string login_of(const HttpRequest& request) const;
   /// The remembered person of a login; null: none.
   Persons::Known find(const std::string& login);
-  /// Asks the register about a login that is not known here. @param then  called with null for nobody
+  /// Asks the register about a login that is not known here. @param then  called with null if nobody has it
   void look_up(const std::string& login, const Peer& peer, std::function<void(const Persons::Known&)> then);
 
   /// The answer to a visitor who is not identified.

@@ -17,7 +17,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// The whole state of a bench, asked for over its socket. Null: it does not answer in time; nothing: no
+/// The whole state of a bench, asked for over its socket. Null if it does not answer in time; nullopt if no
 /// process listens there.
 std::optional<Json> snapshot_of(const std::filesystem::path& socket, std::chrono::milliseconds patience) {
   boost::asio::io_context io;

@@ -20,7 +20,7 @@ struct Visitor {
   std::string expires_utc;  ///< End of the login; empty: no person.
 };
 
-/// A login that the register does not accept. what() says why.
+/// A login that the register does not accept. what() gives the reason.
 class LoginRefused : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

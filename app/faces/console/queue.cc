@@ -8,6 +8,7 @@
 
 #include "app/faces/console/live_view.h"
 #include "app/faces/console/request.h"
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output_file.h"
 
 namespace abcal::console {
@@ -75,7 +76,7 @@ Queue::Refusal Queue::keep() {
   for (const QueueEntry& entry : entries_) list.push_back(entry_json(entry));
   const QueueJson json = {{"schema", kSchema}, {"last_number", last_number_}, {"entries", std::move(list)}};
   try {
-    OutputFile(file_).write(json.dump(1, ' ', false, QueueJson::error_handler_t::replace) + "\n");
+    OutputFile(file_).write(json_text(json, 1) + "\n");
   } catch (const std::runtime_error& error) {
     return fmt::format("the queue cannot be kept: {}", error.what());
   }

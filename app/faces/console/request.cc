@@ -106,7 +106,7 @@ StageAxis axis_of(const std::string& name) {
   throw RequestError(R"("axis" must be "x" or "z")");
 }
 
-/// Reads how far a jog turns: exactly one of three keys says it.
+/// Reads the travel of a jog from exactly one of three keys.
 Jog jog_of(Keys& keys) {
   Jog jog;
   jog.axis = axis_of(keys.text("axis"));

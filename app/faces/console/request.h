@@ -51,7 +51,7 @@ struct Jog {
   enum class How {
     kBy,        ///< By an angle relative to the encoder angle.
     kTo,        ///< To an angle of the protocol.
-    kWhileHeld  ///< As long as signs of life come (KeepTurning), at most by this angle or to the travel's
+    kWhileHeld  ///< As long as signs of life arrive (KeepTurning), at most by this angle or to the travel's
                 ///< end.
   };
   StageAxis axis = StageAxis::kX;
@@ -111,10 +111,10 @@ using Command = std::variant<Beat, TakeControl, ReleaseControl, AskControl, Answ
 struct Request {
   std::int64_t id = 0;  ///< Returned with the reply.
   Command command;
-  nlohmann::json json;  ///< As it came, for the process that holds the bench.
+  nlohmann::json json;  ///< As received, for the process that holds the bench.
 };
 
-/// A request that is not understood. what() says what was found and required.
+/// A request that is not understood. what() states what was found and required.
 class RequestError : public std::runtime_error {
  public:
   explicit RequestError(const std::string& why, std::uint64_t id = 0) : std::runtime_error(why), id_(id) {}

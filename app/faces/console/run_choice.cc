@@ -4,12 +4,12 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <charconv>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "app/faces/console/request.h"
 #include "app/faces/console/visible_text.h"
+#include "drivers/text/number.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal::console {
@@ -91,10 +91,8 @@ RunChoice parse_run_choice(const std::map<std::string, std::string>& fields) {
   for (const auto& [key, text] : fields) {
     if (text.empty()) continue;
     if (key == "steps" || key == "dwell_readings") {
-      int number = 0;
-      const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-      const bool whole = error == std::errc() && end == text.data() + text.size();
-      object[key] = whole ? Json(number) : Json(text);
+      const auto number = pieces::number<int>(text);
+      object[key] = number ? Json(*number) : Json(text);
     } else if (key == "estimator" || key == "bench_sha256" || key == "form") {
       object[key] = text;
     } else {

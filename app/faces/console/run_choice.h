@@ -27,7 +27,7 @@ struct RunChoice {
   bool without_missing_items = false;  ///< Missing ones of several items are left out.
   /// SHA-256 of the bench file when the person saw it; empty: any content is accepted.
   std::string bench_sha256;
-  /// Identifies the form, which starts one run at most; empty: no such limit.
+  /// Identifies the form, which starts one run at most; empty: not limited.
   std::string form;
 };
 

@@ -12,7 +12,6 @@
 #include <limits>
 #include <map>
 #include <sstream>
-#include <string_view>
 #include <utility>
 
 #include "app/faces/console/download.h"
@@ -20,6 +19,7 @@
 #include "app/faces/console/thinned_readings.h"
 #include "app/ground/bench_file/bench_config.h"
 #include "app/ground/bench_file/not_real.h"
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/output_file.h"
 #include "app/ground/system/version.h"
 #include "app/laboratory/certificate/certificate_json.h"
@@ -32,7 +32,9 @@
 #include "app/results/estimates/estimators.h"
 #include "app/results/estimates/load_record.h"
 #include "app/results/estimates/result_json.h"
+#include "drivers/text/text.h"
 #include "protocol/estimators/checks/check_meanings.h"
+#include "protocol/estimators/checks/comparison.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/run_seal.h"
@@ -44,12 +46,6 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kNotReadYet = "not read yet";
-
-std::string lower(std::string text) {
-  for (char& c : text)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  return text;
-}
 
 bool has_item(const Json& run, const std::string& serial_number) {
   return std::ranges::any_of(run.value("items", Json::array()), [&](const Json& item) {
@@ -79,7 +75,7 @@ std::string serial_numbers_of(const RunHeader& header) {
   return fmt::format("{}", fmt::join(of_items, ", "));
 }
 
-/// Which instruments of a run were simulated, as its bench file says: "stage, accelerometer"; empty: none.
+/// Which instruments of a run were simulated, by its bench file: "stage, accelerometer"; empty: none.
 std::string simulated_of(const RunHeader& header) {
   try {
     return fmt::format("{}", fmt::join(simulated_instruments(parse_bench(header.bench_toml, "run")), ", "));
@@ -111,13 +107,10 @@ std::string kept_verdict(const std::filesystem::path& path, const std::string& e
       if (each.estimator == estimator)
         verdict = Json::parse(each.result_json).at("verdict").get<std::string>();
   } catch (const std::exception&) {
-    return "";  // The run's own page says why.
+    return "";  // The run's own page shows the reason.
   }
   return verdict;
 }
-
-constexpr std::array<std::string_view, 9> kCharted{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                                   "phi_wu", "O_u", "O_v", "O_w"};
 
 /// Reads a number that json_number() wrote; null is NaN.
 double number_from(const Json& json) {
@@ -233,7 +226,7 @@ void RunLibrary::read_summaries() {
       entry.closed = true;
       known_[name] = std::move(entry);
     }
-  } catch (const std::exception&) {  // JSON, or a key that is no number
+  } catch (const std::exception&) {  // JSON, or a key that is not a number
     known_.clear();
   }
 }
@@ -253,7 +246,7 @@ void RunLibrary::keep_summaries() {
   }
   const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
   try {
-    OutputFile(folder_ / kSummaries).write(json.dump(-1, ' ', false, Json::error_handler_t::replace));
+    OutputFile(folder_ / kSummaries).write(json_text(json));
   } catch (const std::exception&) {
     return;  // The next console reads the runs again, which only takes longer.
   }
@@ -353,7 +346,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
 
 Json RunLibrary::page(const PageAsked& asked) {
   const Json all = list();
-  const std::vector<std::string> words = words_of(lower(asked.search));
+  const std::vector<std::string> words = words_of(pieces::lower(asked.search));
   std::vector<const Json*> found;
   std::size_t unread = 0;
   for (const Json& run : all) {
@@ -361,7 +354,7 @@ Json RunLibrary::page(const PageAsked& asked) {
     if (!asked.state.empty() && run["state"] != asked.state) continue;
     if (!asked.item.empty() && !has_item(run, asked.item)) continue;
     if (!asked.bench.empty() && run.value("bench", "") != asked.bench) continue;
-    const std::string text = words.empty() ? "" : lower(run.dump());
+    const std::string text = words.empty() ? "" : pieces::lower(run.dump());
     if (std::ranges::all_of(words,
                             [&](const std::string& word) { return text.find(word) != std::string::npos; }))
       found.push_back(&run);
@@ -535,10 +528,8 @@ Json RunLibrary::compare(const std::string& first, const std::string& second, bo
 
 RunLibrary::Charted RunLibrary::charted_of(const CalibrationResult& result) {
   Charted charted{std::string(to_string(result.verdict)), {}};
-  const std::array<const std::array<Quantity, 3>*, 3> groups{&result.intrinsic_sensitivity,
-                                                             &result.intrinsic_angle, &result.offset};
   for (std::size_t i = 0; i < charted.values.size(); ++i) {
-    const Quantity& quantity = (*groups[i / 3])[i % 3];
+    const Quantity& quantity = intrinsic_property(result, static_cast<Eigen::Index>(i));
     charted.values[i] = {quantity.value, quantity.standard_uncertainty, quantity.unit};
   }
   return charted;
@@ -606,12 +597,12 @@ std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std
 }
 
 bool RunLibrary::is_charted(const std::string& property) {
-  return std::find(kCharted.begin(), kCharted.end(), property) != kCharted.end();
+  return std::find(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), property) != kIntrinsicSymbols.end();
 }
 
 Json RunLibrary::history(const std::string& serial_number, const std::string& property) {
-  const auto index =
-      static_cast<std::size_t>(std::find(kCharted.begin(), kCharted.end(), property) - kCharted.begin());
+  const auto index = static_cast<std::size_t>(
+      std::find(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), property) - kIntrinsicSymbols.begin());
   Json list = Json::array();
   std::vector<std::string> oldest_first = names();
   std::reverse(oldest_first.begin(), oldest_first.end());

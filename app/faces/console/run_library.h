@@ -16,12 +16,12 @@
 
 namespace abcal::console {
 
-/// The runs that a console knows: files NAME.run that lie directly in one folder. A name that comes from a
-/// page is only compared with theirs, so that none can lead elsewhere. Reading and analysing take time: not
-/// for the thread that serves the pages. Safe to use from several threads.
+/// The runs that a console knows: files NAME.run that lie directly in one folder. A name from a page is only
+/// compared with theirs, so that none can lead elsewhere. Reading and analysing take time: not for the thread
+/// that serves the pages. Safe to use from several threads.
 class RunLibrary {
  public:
-  /// Summaries of closed runs are kept beside them (kSummaries), so that a list of many is read quickly.
+  /// Summaries of closed runs are kept next to them (kSummaries), so that a list of many is read quickly.
   explicit RunLibrary(std::filesystem::path folder);
 
   static constexpr const char* kSummaries = ".abcal-summaries.json";
@@ -48,9 +48,9 @@ class RunLibrary {
     std::string bench;  ///< Only runs on the bench of this name; empty: on any.
     std::size_t from = 0, count = 100;
   };
-  /// One page of the runs that are found: `runs`; and how many are `found`, there in `all`, and
-  /// `unread` so far; `verdicts` counts those found by verdict, `first_utc` and `last_utc` say when the
-  /// first and the last of them began.
+  /// One page of the runs that are found: `runs`; the numbers `found` of `all`, and `unread` so far;
+  /// `verdicts` counts those found by verdict, `first_utc` and `last_utc` are the beginnings of the first and
+  /// the last of them.
   nlohmann::ordered_json page(const PageAsked& asked);
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @param item  from 1; 0: the first that was not left out
@@ -60,7 +60,7 @@ class RunLibrary {
   /// @param item  as of result()
   static nlohmann::ordered_json angles(const std::filesystem::path& run, int item);
   /// Single readings of an item, at most some `columns` of them: of more, the lowest and the highest of equal
-  /// parts in time, so that nothing that stands out is lost.
+  /// parts in time, so that no outlier is lost.
   /// @param item  as of result()
   /// @param position  of an angle in the plan; absent: of all angles
   static nlohmann::ordered_json readings(const std::filesystem::path& run, int item,

@@ -28,7 +28,7 @@ struct ServerOptions {
   std::filesystem::path laboratory_file;  ///< For certificates; empty: the page issues none.
   /// Folders whose benches are shown as tiles, besides that of the own runs; empty: no tiles.
   std::vector<std::filesystem::path> tile_folders;
-  std::vector<std::string> tile_links;      ///< Addresses of other consoles, shown beside the tiles.
+  std::vector<std::string> tile_links;      ///< Addresses of other consoles, shown next to the tiles.
   std::chrono::minutes login_time{8 * 60};  ///< A working day.
   std::optional<TlsIdentity> tls;           ///< Required where others than this computer can connect.
   /// Addresses of proxies that are trusted to state where a request comes from.
@@ -39,14 +39,15 @@ struct ServerOptions {
   /// Limit of messages that wait for a slow page. Beyond it they are dropped, and it gets a snapshot instead.
   /// Replies are never dropped: no more is read from a page while that number of them waits.
   std::size_t longest_queue = 64;
-  std::chrono::seconds request_time{10};  ///< For a request to come in, and for its answer to be taken.
+  std::chrono::seconds request_time{10};  ///< Limit for the arrival of a request, and for the transmission of
+                                          ///< its answer.
   std::chrono::seconds silent_time{20};   ///< A page that answers no ping for this time is gone.
 };
 
 /// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers
 /// (docs/console.md). All connections live in one thread, which never waits for any of them, nor for the
 /// bench; messages of the bench go into a bounded queue for each page. The bench itself is held by a process
-/// of its own (BenchService), which is found or started, and goes on if this one dies.
+/// of its own (BenchService), which is found or started, and continues if this one dies.
 class Server {
  public:
   /// Listens from here on.

@@ -14,7 +14,7 @@
 
 namespace abcal::console {
 
-/// The places of connections that have said who they are. For one thread.
+/// The places of identified connections. For one thread.
 class Seats {
  public:
   explicit Seats(const ServerOptions& options)

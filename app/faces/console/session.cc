@@ -176,7 +176,7 @@ Session::Refusal Session::check_item(std::int64_t entry, const RunChoice& choice
   return begin(Activity::kChecking, [this, entry, choice, before] { do_check_item(entry, choice, before); });
 }
 
-/// Why a form cannot start a run any more; nothing: it can.
+/// Why a form cannot start a run any more; nullopt if it can.
 Session::Refusal Session::stale(const RunChoice& choice) const {
   if (!choice.form.empty()) {
     const std::lock_guard lock(mutex_);

@@ -65,9 +65,9 @@ class Session {
   Refusal acknowledge(const std::filesystem::path& run, const Asker& by);
   /// Halts the stage at once and ends the current activity.
   Refusal stop(const Asker& by);
-  /// Whether nothing is in progress now; an older event that says otherwise may still arrive.
+  /// Whether nothing is in progress now; an older event that contradicts this may still arrive.
   bool is_idle() const;
-  /// Somebody steers from now on; the event log of the current run says so.
+  /// Another page steers from now on; this is recorded in the event log of the current run.
   void control_taken(const Asker& by);
 
  private:

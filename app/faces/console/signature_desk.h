@@ -11,9 +11,9 @@
 
 namespace abcal::console {
 
-/// Approval by key: the certificate is made here and signed where the approver's private key is, which never
-/// comes here. Keeps certificates that wait for their signature; after a restart they are prepared again,
-/// with the same number. The person logged in is the approver. For one thread.
+/// Approval by key: the certificate is made here and signed where the approver's private key is, which is
+/// never sent here. Keeps certificates that wait for their signature; after a restart they are prepared
+/// again, with the same number. The person logged in is the approver. For one thread.
 class SignatureDesk {
  public:
   explicit SignatureDesk(ApprovalPlace place) : place_(std::move(place)) {}

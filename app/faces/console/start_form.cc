@@ -274,7 +274,7 @@ class Form {
           last->at("name").get<std::string>()));
   }
 
-  /// Whether the newest complete run on this bench agrees with this record; nothing: it did not use it.
+  /// Whether the newest complete run on this bench agrees with this record; nullopt if it did not use it.
   std::optional<Json> last_test(const BenchConfig& config, const std::string& sha256) {
     for (const Json& run : library_.list()) {
       if (run.value("state", "") != "complete" || run.value("bench", "") != config.name) continue;

@@ -14,7 +14,7 @@ namespace abcal::console {
 /// The data from which a start form is made.
 struct StartFormAsked {
   std::filesystem::path bench_file, runs;
-  std::string register_location;  ///< Empty: there is none.
+  std::string register_location;  ///< Empty: no register.
   RunOperator who;                ///< The person logged in on the page; no name: nobody.
   RunChoice choice;
 };

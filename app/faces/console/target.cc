@@ -15,8 +15,8 @@ namespace {
 
 using Uri = std::unique_ptr<xmlURI, void (*)(xmlURI*)>;
 
-/// Reads a target in origin form as part of a URI, with its escapes (RFC 3986). Null if it is none, or if it
-/// contains a zero byte, which would end a string of libxml2.
+/// Reads a target in origin form as part of a URI, with its escapes (RFC 3986). Null if it is not one, or if
+/// it contains a zero byte, which would end a string of libxml2.
 Uri parse_origin_form(std::string_view text) {
   Uri uri(nullptr, xmlFreeURI);
   if (!text.starts_with('/') || text.find('\0') != std::string_view::npos ||

@@ -19,11 +19,11 @@ struct Target {
 std::string in_origin_form(std::string_view target, std::string_view host);
 
 /// Reads a target in origin form (RFC 9112, section 3.2.1).
-/// @return nothing if it is none
+/// @return nullopt if it is not one
 std::optional<Target> parse_target(std::string_view text);
 
 /// Reads the fields of a form (application/x-www-form-urlencoded), decoded. The first of two with one name
-/// counts. @return nothing if it is none
+/// counts. @return nullopt if it is not a form
 std::optional<std::map<std::string, std::string>> parse_form(std::string_view body);
 /// A field of such a form; empty: absent.
 std::string field_of(const std::map<std::string, std::string>& form, const std::string& name);

@@ -11,17 +11,17 @@ namespace abcal::console {
 
 /// Readings of dwells for a chart that is some columns of pixels wide. Each dwell is cut into equal parts, of
 /// each of which the lowest and the highest reading of each output are kept; where there are more dwells than
-/// columns, several dwells are one part. Of few readings each is a part of its own. The memory does not grow
-/// with the readings.
+/// columns, several dwells are one part. If there are few readings, each is a part of its own. The memory
+/// does not grow with the readings.
 class ThinnedReadings {
  public:
-  /// Readings of one part. Readings that are not numbers are left out; a part of none has NaN.
+  /// Readings of one part. Readings that are not numbers are left out; a part without readings has NaN.
   struct Point {
     double time_s = 0.0;              ///< Middle of its first and last reading.
     Eigen::Vector3d lowest, highest;  ///< R
   };
 
-  /// @param dwells   how many are to come, at least 1 is assumed
+  /// @param dwells   number of dwells that follow, at least 1 is assumed
   /// @param columns  at least 1 is assumed
   ThinnedReadings(std::size_t dwells, std::size_t columns);
 

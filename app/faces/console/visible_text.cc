@@ -9,7 +9,7 @@
 namespace abcal::console {
 namespace {
 
-/// Calls `each` with every character and its bytes; a byte that is no UTF-8 is a character < 0.
+/// Calls `each` with every character and its bytes; a byte that is not UTF-8 is a character < 0.
 template <class Each>
 void for_each_character(std::string_view utf8, const Each& each) {
   const auto length = static_cast<std::int32_t>(utf8.size());

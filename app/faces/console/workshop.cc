@@ -134,7 +134,7 @@ Workshop::Workshop(boost::asio::io_context& io, std::size_t threads)
 
 Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done, Turn turn) {
   const std::uint64_t number = ++book_->tickets;
-  // A name begins with "/", so that a number is shared with nobody.
+  // A name begins with "/", so that a number is never shared.
   const std::string known_as = name.empty() ? std::to_string(number) : "/" + name;
   std::shared_ptr<Order>& place = book_->by_name[known_as];
   const bool is_new = place == nullptr;

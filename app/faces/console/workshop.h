@@ -25,7 +25,7 @@ struct Product {
   bool is_file = false;  ///< For download, not for display.
 };
 
-/// Nobody waits for the product any more.
+/// No client waits for the product any more.
 class Cancelled : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -34,7 +34,7 @@ class Cancelled : public std::runtime_error {
 /// @throws Cancelled
 void require_wanted(const std::stop_token& cancelled);
 
-/// When an order's turn comes.
+/// The turn of an order.
 struct Turn {
   /// Orders of one person that wait: a page that is being opened asks twice, and a person may have two pages.
   static constexpr int kMostWaiting = 3;

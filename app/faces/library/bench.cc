@@ -14,6 +14,7 @@
 #include "app/faces/run/run_session.h"
 #include "app/ground/bench_file/bench_records.h"
 #include "app/ground/bench_file/not_real.h"
+#include "app/ground/document/json_text.h"
 #include "app/laboratory/issuing/laboratory_link.h"
 #include "app/laboratory/register/register_lookup.h"
 #include "app/operate/bench/make_bench.h"
@@ -44,8 +45,7 @@ namespace {
 Event public_event(const ::abcal::SessionEvent& event) {
   const char* const name =
       std::visit([](const auto& each) { return std::decay_t<decltype(each)>::kName; }, event);
-  return {name,
-          ::abcal::to_json_object(event).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace)};
+  return {name, ::abcal::json_text(::abcal::to_json_object(event))};
 }
 
 /// Passes events on; the first exception of the listener requests the stop and is kept.

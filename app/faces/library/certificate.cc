@@ -22,7 +22,7 @@ Certificate::Certificate(const std::filesystem::path& path) {
   data.intrinsic.matrix = data.read.covariance;
   const std::array<std::string, 9> units = ::abcal::units_of_properties(data.read);
   data.intrinsic.units.assign(units.begin(), units.end());
-  data.intrinsic.labels.assign(::abcal::kIntrinsicNames.begin(), ::abcal::kIntrinsicNames.end());
+  data.intrinsic.labels.assign(::abcal::kIntrinsicSymbols.begin(), ::abcal::kIntrinsicSymbols.end());
   data_ = std::make_shared<const Data>(std::move(data));
 }
 

@@ -4,6 +4,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "abcal/record.h"
 #include "abcal/result.h"
@@ -20,10 +21,10 @@ struct [[gnu::visibility("hidden")]] Record::Data {
 
 struct [[gnu::visibility("hidden")]] Result::Data {
   ::abcal::CalibrationResult result;
-  Values sensitivity_matrix, offset, intrinsic_sensitivity, intrinsic_angle;
+  std::vector<QuantityGroup> quantities;
   Covariance covariance, covariance_intrinsic;
   std::optional<Published> published;
-  std::optional<double> nominal_response;  ///< R for one g_loc, of the item; nothing: not known.
+  std::optional<double> nominal_response;  ///< R for one g_loc, of the item; absent if unknown.
 };
 
 // Hidden functions belong to no interface.

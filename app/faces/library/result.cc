@@ -1,9 +1,10 @@
 #include "abcal/result.h"
 
-#include <array>
+#include <algorithm>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
 
 #include "app/faces/library/data.h"
@@ -19,6 +20,7 @@
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/plan/limits.h"
+#include "protocol/quantities/quantity_groups.h"
 #include "protocol/record/sha256.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -39,20 +41,26 @@ Values sized(Eigen::Index rows, Eigen::Index columns) {
   return {unknown, unknown, unknown, unknown, unknown, ""};
 }
 
-Values column_of(const std::array<::abcal::Quantity, 3>& quantities) {
-  Values values = sized(3, 1);
-  for (Eigen::Index j = 0; j < 3; ++j) set_value(values, j, 0, quantities[static_cast<std::size_t>(j)]);
-  return values;
+std::vector<QuantityGroup> quantities_of(const ::abcal::CalibrationResult& result) {
+  std::vector<QuantityGroup> groups;
+  for (const auto& [about, found] : ::abcal::found_groups(result)) {
+    const std::size_t columns = std::max<std::size_t>(1, about.columns);
+    Values values =
+        sized(static_cast<Eigen::Index>(found.size() / columns), static_cast<Eigen::Index>(columns));
+    for (std::size_t i = 0; i < found.size(); ++i)
+      set_value(values, static_cast<Eigen::Index>(i / columns), static_cast<Eigen::Index>(i % columns),
+                found[i].quantity);
+    groups.push_back({about.key, about.heading, about.meaning, std::string(::abcal::to_string(about.kind)),
+                      std::string(::abcal::to_string(about.frame)), about.symbols, std::move(values)});
+  }
+  return groups;
 }
 
-Values matrix_of(const ::abcal::CalibrationResult& result) {
-  if (!result.sensitivity_matrix) return {};
-  Values values = sized(3, 3);
-  for (std::size_t j = 0; j < 3; ++j)
-    for (std::size_t k = 0; k < 3; ++k)
-      set_value(values, static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k),
-                (*result.sensitivity_matrix)[j][k]);
-  return values;
+/// The values of a group; no values: the result does not have it.
+const Values& values_of(const std::vector<QuantityGroup>& groups, std::string_view key) {
+  static const Values kNone;
+  const auto found = std::ranges::find(groups, key, &QuantityGroup::key);
+  return found == groups.end() ? kNone : found->values;
 }
 
 Covariance outputs_covariance(const ::abcal::CalibrationResult& result) {
@@ -76,25 +84,20 @@ Covariance intrinsic_covariance(const ::abcal::CalibrationResult& result) {
   if (!result.covariance_intrinsic) return covariance;
   covariance.matrix = *result.covariance_intrinsic;
   covariance.values = ::abcal::intrinsic_values(result);
-  for (std::size_t i = 0; i < ::abcal::kIntrinsicNames.size(); ++i) {
-    covariance.labels.emplace_back(::abcal::kIntrinsicNames[i]);
+  for (std::size_t i = 0; i < ::abcal::kIntrinsicSymbols.size(); ++i) {
+    covariance.labels.emplace_back(::abcal::kIntrinsicSymbols[i]);
     covariance.units.push_back(::abcal::intrinsic_property(result, static_cast<Eigen::Index>(i)).unit);
   }
   return covariance;
 }
 
 Published published_of(const ::abcal::PublishedResult& published) {
-  ::abcal::CalibrationResult result;
-  result.sensitivity_matrix = published.sensitivity_matrix;
-  result.offset = published.offset;
-  result.intrinsic_sensitivity = published.intrinsic_sensitivity;
-  result.intrinsic_angle = published.intrinsic_angle;
-  result.covariance = published.covariance;
-  result.covariance_intrinsic = published.covariance_intrinsic;
-  return {matrix_of(result),
-          column_of(result.offset),
-          column_of(result.intrinsic_sensitivity),
-          column_of(result.intrinsic_angle),
+  const ::abcal::CalibrationResult result = ::abcal::as_result(published);
+  const std::vector<QuantityGroup> groups = quantities_of(result);
+  return {values_of(groups, "sensitivity_matrix"),
+          values_of(groups, "offset"),
+          values_of(groups, "intrinsic_sensitivity"),
+          values_of(groups, "intrinsic_angle"),
           outputs_covariance(result),
           intrinsic_covariance(result)};
 }
@@ -107,10 +110,7 @@ const char* version() {
 
 Result public_result(::abcal::CalibrationResult result, const ::abcal::RunRecord& record) {
   Result::Data data;
-  data.sensitivity_matrix = matrix_of(result);
-  data.offset = column_of(result.offset);
-  data.intrinsic_sensitivity = column_of(result.intrinsic_sensitivity);
-  data.intrinsic_angle = column_of(result.intrinsic_angle);
+  data.quantities = quantities_of(result);
   data.covariance = outputs_covariance(result);
   data.covariance_intrinsic = intrinsic_covariance(result);
   if (result.published) data.published = published_of(*result.published);
@@ -149,22 +149,26 @@ std::vector<std::string> Result::notes() const {
   return data_->result.diagnostics.notes;
 }
 const Values& Result::sensitivity_matrix() const {
-  return data_->sensitivity_matrix;
+  return values_of(data_->quantities, "sensitivity_matrix");
 }
 const Values& Result::offset() const {
-  return data_->offset;
+  return values_of(data_->quantities, "offset");
 }
 const Values& Result::intrinsic_sensitivity() const {
-  return data_->intrinsic_sensitivity;
+  return values_of(data_->quantities, "intrinsic_sensitivity");
 }
 const Values& Result::intrinsic_angle() const {
-  return data_->intrinsic_angle;
+  return values_of(data_->quantities, "intrinsic_angle");
 }
 const Covariance& Result::covariance() const {
   return data_->covariance;
 }
 const Covariance& Result::covariance_intrinsic() const {
   return data_->covariance_intrinsic;
+}
+
+const std::vector<QuantityGroup>& Result::quantities() const {
+  return data_->quantities;
 }
 
 std::vector<EffectFound> Result::effects() const {
@@ -176,7 +180,7 @@ std::vector<EffectFound> Result::effects() const {
 }
 
 Values Result::alignment() const {
-  return data_->result.joint ? column_of(data_->result.joint->alignment) : Values{};
+  return values_of(data_->quantities, "alignment");
 }
 
 const std::optional<Published>& Result::published() const {

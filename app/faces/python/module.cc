@@ -168,6 +168,15 @@ void add_result(py::module_& m) {
       .def_readonly("intrinsic_angle", &Published::intrinsic_angle)
       .def_readonly("covariance", &Published::covariance)
       .def_readonly("covariance_intrinsic", &Published::covariance_intrinsic);
+  py::class_<QuantityGroup>(m, "QuantityGroup", "Quantities of one kind in a result, with their description.")
+      .def_readonly("key", &QuantityGroup::key, "As in JSON and HDF5.")
+      .def_readonly("heading", &QuantityGroup::heading)
+      .def_readonly("meaning", &QuantityGroup::meaning)
+      .def_readonly("kind", &QuantityGroup::kind, "'output', 'stage', 'accelerometer' or 'motion'.")
+      .def_readonly("frame", &QuantityGroup::frame,
+                    "Whose axes: 'item' (free of the mounting), 'platter', 'stage'.")
+      .def_readonly("symbols", &QuantityGroup::symbols, "Of the values, row by row.")
+      .def_readonly("values", &QuantityGroup::values);
   py::class_<Result>(m, "Result", "The result of one estimator on one record; never changed.")
       .def_property_readonly("estimator", &Result::estimator)
       .def_property_readonly("verdict", &Result::verdict, "'usable', 'doubtful' or 'not_usable'.")
@@ -185,6 +194,8 @@ void add_result(py::module_& m) {
                              "Of s (row by row) and O, shape (12, 12).")
       .def_property_readonly("covariance_intrinsic", &Result::covariance_intrinsic, kInside,
                              "Of the nine intrinsic properties, shape (9, 9).")
+      .def_property_readonly("quantities", &Result::quantities, kInside,
+                             "Every quantity of the result, in groups with their descriptions.")
       .def_property_readonly("effects", &Result::effects)
       .def_property_readonly("alignment", &Result::alignment,
                              "Zx, Zy, Xz of the joint estimator, shape (3,).")

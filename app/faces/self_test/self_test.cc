@@ -39,7 +39,7 @@ namespace {
 using Grade = SelfCheck::Grade;
 
 constexpr std::uintmax_t kLeastDiskBytes = 200u << 20;  // Some ten runs of 72 angles.
-constexpr double kLargestClockError_s = 1.0;
+constexpr double kLargestClockErrorS = 1.0;
 
 // A bench with errors of stage and item, which the result must find.
 constexpr const char* kBench = R"([bench]
@@ -74,7 +74,7 @@ step_error_deg = 0.005
 speed_deg_per_s = 100.0
 )";
 
-/// Gathers checks and tells each.
+/// Collects the checks and reports each.
 class Report {
  public:
   explicit Report(const std::function<void(const SelfCheck&)>& tell) : tell_(tell) {}
@@ -122,7 +122,8 @@ void check_helper(Report& report, const Tool& helper) {
   });
 }
 
-/// abcal-mpi is started by a person with mpirun, so that it is installed beside abcal, not among the helpers.
+/// abcal-mpi is started by a person with mpirun, so that it is installed next to abcal, not among the
+/// helpers.
 Tool mpi_program() {
   return helper_program("abcal-mpi", "studies on several machines need");
 }
@@ -180,7 +181,7 @@ void check_clock(Report& report, Clock::UtcTime now) {
   } else if (!clock.error_s) {
     report.add("clock", Grade::kNote, fmt::format("{}; no time service keeps it, or tells how well", utc));
   } else {
-    report.add("clock", *clock.error_s <= kLargestClockError_s ? Grade::kGood : Grade::kNote,
+    report.add("clock", *clock.error_s <= kLargestClockErrorS ? Grade::kGood : Grade::kNote,
                fmt::format("{}; the time service states an error of at most {:.3g} s", utc, *clock.error_s));
   }
 }
@@ -321,7 +322,8 @@ void check_run(Report& report) {
   report.add("simulated run", result.verdict == Verdict::kUsable ? Grade::kGood : Grade::kBad,
              fmt::format("{} angles, {} estimator: {} ({})", outcome.stored().measured.size(),
                          result.estimator, to_string(result.verdict), result.why));
-  const TruthComparison truth = compare_with_truth(result, parse_bench(kBench, "self-test"));
+  const TruthComparison truth =
+      compare_with_truth(result, outcome.stored().record, parse_bench(kBench, "self-test"));
   report.add("result against the truth", truth.agrees() ? Grade::kGood : Grade::kBad,
              fmt::format("largest difference {:.2f} standard uncertainties; required: at most {:g}",
                          truth.largest, truth.allowed));

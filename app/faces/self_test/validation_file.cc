@@ -8,6 +8,7 @@
 #include "app/faces/self_test/requirements.h"
 #include "app/ground/system/read_file.h"
 #include "app/ground/xml/xml_query.h"
+#include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
@@ -94,19 +95,15 @@ void read_one(const std::filesystem::path& file, TestResults& results) {
     results.last_utc = std::max(results.last_utc, attribute(root, "timestamp"));
 }
 
+constexpr auto kOutcomes = names<TestResults::Outcome>({{TestResults::Outcome::kPassed, "passed"},
+                                                        {TestResults::Outcome::kFailed, "FAILED"},
+                                                        {TestResults::Outcome::kSkipped, "skipped"}});
+
 std::string outcome_words(const std::string& test, const TestResults* results) {
   if (results == nullptr) return "not run here";
   const auto found = results->outcomes.find(test);
   if (found == results->outcomes.end()) return "not run";
-  switch (found->second) {
-    case TestResults::Outcome::kPassed:
-      return "passed";
-    case TestResults::Outcome::kFailed:
-      return "FAILED";
-    case TestResults::Outcome::kSkipped:
-      return "skipped";
-  }
-  return "not run";
+  return std::string(kOutcomes.of(found->second, "not run"));
 }
 
 /// Number of tests of a requirement that passed, and each test that did not.

@@ -26,20 +26,42 @@ BenchConfig parse_bench(std::string_view text, const std::string& source) {
   return parse_bench(text, source, {});
 }
 
-BenchConfig parse_bench(std::string_view text, const std::string& source, const RecordLookup& lookup) {
+namespace {
+
+/// @param edit  changes the table before it is read
+BenchConfig parse(std::string_view text, const std::string& source, const RecordLookup& lookup,
+                  const std::function<void(toml::table&)>& edit) {
   std::vector<Problem> unreadable;
-  const toml::table root =
+  toml::table root =
       parse_toml(text, source, "a bench file; commented examples are in docs/examples", unreadable);
   if (root.empty() && !unreadable.empty()) throw BenchError(source, std::move(unreadable));
+  edit(root);
   BenchConfig config;
   TomlReader reader(root, lookup, text);
   visit_bench_file(reader, config);
   check_together(reader, root, config);
   reader.report_unknown();
-  // The table of a file that is not TOML is that of its corrected lines: what else is wrong is said at once.
+  // The table of a file that is not TOML is that of its corrected lines: other mistakes are reported at the
+  // same time.
   for (Problem& problem : reader.take_problems()) unreadable.push_back(std::move(problem));
   if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   return config;
+}
+
+}  // namespace
+
+BenchConfig parse_bench(std::string_view text, const std::string& source, const RecordLookup& lookup) {
+  return parse(text, source, lookup, [](toml::table&) {});
+}
+
+BenchConfig parse_drawn_bench(std::string_view text, const std::string& source, std::uint64_t seed) {
+  return parse(text, source, {}, [seed](toml::table& root) {
+    root.insert("simulation", toml::table{});
+    toml::table* simulation = root["simulation"].as_table();
+    if (simulation == nullptr) return;  // The reader reports it.
+    simulation->insert_or_assign("draw", kDrawStated);
+    simulation->insert_or_assign("seed", static_cast<std::int64_t>(seed));
+  });
 }
 
 BenchConfig read_bench(const std::filesystem::path& path) {

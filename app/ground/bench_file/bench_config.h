@@ -133,6 +133,9 @@ struct BenchItemConfig {
 };
 inline constexpr std::size_t kMostItems = 32;
 
+/// `[simulation] draw`: the truth is drawn from the stated sizes.
+inline constexpr const char* kDrawStated = "stated";
+
 /// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
 struct BenchConfig {
   std::string schema = "abcal.bench/2";
@@ -147,6 +150,9 @@ struct BenchConfig {
   ProtocolConfig protocol;
   NotifyConfig notify;
   sim::StageTruth simulation;
+  /// kDrawStated: values of `simulation` and of the items' that the file does not give are drawn
+  /// (stated_truth.h); empty: they are the defaults.
+  std::string draw;
   sim::LinkTiming link;  ///< Timing of the simulated instruments' links.
   EmulatorConfig emulator;
   std::vector<FaultConfig> faults;
@@ -196,6 +202,8 @@ BenchConfig read_bench(const std::filesystem::path& path);
 
 /// As above, from text; `source` names it in messages.
 BenchConfig parse_bench(std::string_view toml, const std::string& source);
+/// As parse_bench(), with `[simulation] draw = "stated"` and this seed, regardless of the text.
+BenchConfig parse_drawn_bench(std::string_view toml, const std::string& source, std::uint64_t seed);
 
 /// A fault or change as `abcal emulate --control` accepts it: a JSON object with the keys of [[fault]] or
 /// [[change]]. Quantities that a change does not name keep their values in `now`. at_s counts from the start

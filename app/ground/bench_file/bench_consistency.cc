@@ -52,7 +52,7 @@ void check_address(TomlReader& reader, const std::string& where, const std::stri
   reader.add_problem(where + ".address", "\"" + address + "\"", fmt::format("\"1\" to \"{}\"", last));
 }
 
-/// Two controllers on one port, told apart by their addresses.
+/// Two controllers on one port, distinguished by their addresses.
 void check_addresses(TomlReader& reader, const StageConfig& stage, const std::string& driver) {
   if (traits_of_stage(driver).needs_chain_addresses && (stage.x.address.empty() || stage.z.address.empty()))
     reader.add_problem("stage.z.address", "no address of one or both of the controllers on one port",
@@ -201,7 +201,7 @@ void check_stage_axes(TomlReader& reader, const toml::table& root, const BenchCo
   }
 }
 
-/// Reports plans at a constant rate that cannot be measured, as far as it is known before.
+/// Reports plans at a constant rate that cannot be measured, as far as the bench file shows this.
 void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
   const ProtocolConfig& p = c.protocol;
   const bool by_hand = !c.stage.split() && c.stage.driver != "simulated" &&

@@ -7,6 +7,7 @@
 
 #include "app/ground/bench_file/effect_keys.h"
 #include "app/ground/bench_file/key_ranges.h"
+#include "app/ground/bench_file/stated_truth.h"
 #include "drivers/instrument/driver_catalogue.h"
 #include "protocol/plan/faces.h"
 
@@ -280,8 +281,10 @@ void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
 }
 
 /// @param output  truth of the only item, or default of all items; null: each item states its own
-void visit_simulation(KeyVisitor& keys, sim::StageTruth& s, sim::OutputTruth* output) {
+void visit_simulation(KeyVisitor& keys, BenchConfig& c, sim::OutputTruth* output) {
+  sim::StageTruth& s = c.simulation;
   keys.section("simulation");
+  keys.text("draw", c.draw, {"", kDrawStated});
   keys.seed("seed", s.seed);
   if (output != nullptr) visit_output_truth(keys, *output);
   keys.boolean("noise_seeded_by_angle", s.noise_seeded_by_angle);
@@ -436,12 +439,15 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   }
   visit_notify(keys, c.notify);
   c.simulation.stands_in_second_face = c.protocol.faces == kFaces;
-  visit_simulation(keys, c.simulation, states_items ? &first.simulation : nullptr);
+  visit_simulation(keys, c, states_items ? &first.simulation : nullptr);
   visit_link(keys, c.link);
   visit_emulator(keys, c.emulator, states_items ? &first : nullptr);
 
   keys.section("");
   if (is_list || keys.shows_every_form()) visit_list_of_items(keys, c);
+  // Before the changes, which keep what they do not name.
+  if (c.draw == kDrawStated && !keys.writes())
+    draw_stated_truth(c, [&](const std::string& path) { return keys.gives(path); });
   keys.list("fault", c.faults, FaultConfig{}, visit_fault);
   keys.tables("change", c.changes.size(), [&](std::size_t i) {
     if (i >= c.changes.size()) c.changes.push_back({0.0, c.items.front().simulation});

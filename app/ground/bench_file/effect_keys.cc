@@ -109,6 +109,7 @@ void visit_output_effects(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.vector("cross_bb", s.cross_bb, kRelative);
   keys.vector("cross_cc", s.cross_cc, kRelative);
   keys.vector("hysteresis", s.hysteresis, kResponse);
+  keys.number("hysteresis_width", s.hysteresis_width, kResponseSize);
   keys.vector("drift_1", s.drift_1, kResponse);
   keys.vector("drift_2", s.drift_2, kResponse);
   keys.vector("drift_3", s.drift_3, kResponse);

@@ -7,6 +7,7 @@
 
 #include "app/ground/bench_file/instrument_ports.h"
 #include "drivers/instrument/driver_catalogue.h"
+#include "drivers/text/names.h"
 #include "drivers/text/text.h"
 #include "protocol/record/run_label.h"
 
@@ -67,16 +68,11 @@ const std::vector<ItemFact> kItemMounting{{"Reference surface", "item.reference_
                                           {"Tightening torque", "item.torque"},
                                           {"Cable", "item.cable"}};
 
+constexpr auto kKnownBy = names<KnownBy>(
+    {{KnownBy::kRead, "read"}, {KnownBy::kStated, "stated"}, {KnownBy::kNothing, "not known"}});
+
 std::string_view to_string(KnownBy known_by) {
-  switch (known_by) {
-    case KnownBy::kRead:
-      return "read";
-    case KnownBy::kStated:
-      return "stated";
-    case KnownBy::kNothing:
-      break;
-  }
-  return "not known";
+  return kKnownBy.of(known_by, "not known");
 }
 
 bool IdentityPart::agrees() const {

@@ -72,8 +72,8 @@ ItemIdentityParts identity_parts(const ItemNames& stated, const ItemNames& repor
 /// @param driver  of the item's accelerometer
 ItemIdentityParts identity_parts(const RunHeader& header, const std::string& driver);
 
-/// A sentence that says what is reported, what is stated and what to do, for an item on the bench; empty if
-/// they agree.
+/// A sentence on what is reported, what is stated and what to do, for an item on the bench; empty if they
+/// agree.
 std::string difference(const IdentityPart& part);
 
 /// "maker and model read from the instrument; serial number stated, not read", in this form; parts that are

@@ -312,6 +312,14 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "follows from `[item_uncertainty] drift`.",
         "1"}},
       {"simulation.seed", {"Seed of all random numbers of the simulated bench.", ""}},
+      {"simulation.draw",
+       {"`stated`: every effect that `[stage_uncertainty]` and `[item_uncertainty]` state, or leave to a "
+        "default, is drawn from its distribution by the seed; a key that is given fixes its effect. Drifts "
+        "are "
+        "drawn over the time of the planned run, where all ports are simulated and no series over "
+        "temperature "
+        "is planned. Empty: what is not given is zero.",
+        ""}},
       {"simulation.sensitivity_matrix",
        {"Sensitivity matrix: rows u, v, w; columns x, y, z of the platter, before the platter tilts with Z.",
         "R/g_loc"}},
@@ -386,6 +394,11 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.cross_cc", {"Likewise with y_c^2.", "1"}},
       {"simulation.hysteresis",
        {"Hysteresis: adds this value times the sign of the output's change in the last motion.", "R"}},
+      {"simulation.hysteresis_width",
+       {"Above 0: the hysteresis follows the output along its whole way, as play does, and turns round "
+        "gradually "
+        "while the output changes by this much. 0: its sign is that of the last motion.",
+        "R"}},
       {"simulation.drift_1",
        {"Drift: this value times half the Legendre polynomial of order 1 of the time within the span, from "
         "-1 to 1.",

@@ -7,7 +7,7 @@ namespace abcal {
 // Ranges that no laboratory exceeds: wide enough for every instrument, and narrow enough that no arithmetic
 // of the program overflows.
 
-/// R of one output, whatever its unit: from 1e-12 to the counts of a wide converter.
+/// R of one output, in any unit: from 1e-12 to the counts of a wide converter.
 inline constexpr double kLeastResponse = 1e-12, kMostResponse = 1e12;
 inline constexpr Range kResponse{-kMostResponse, kMostResponse};
 inline constexpr Range kResponseSize{0.0, kMostResponse};

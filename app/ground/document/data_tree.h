@@ -38,8 +38,8 @@ struct DataNode {
 /// the state of the stream.
 void write_node(const DataNode& node, std::ostream& stream);
 
-/// The next node of a stream that write_node() has filled; nothing at its end.
-/// @throws std::runtime_error if the bytes are no node, or cannot be read
+/// The next node of a stream that write_node() has filled; nullopt at its end.
+/// @throws std::runtime_error if the bytes are not a node, or cannot be read
 std::optional<DataNode> read_node(std::istream& stream);
 
 }  // namespace abcal

@@ -250,7 +250,7 @@ void join_marks(xmlNode* first) {
   }
 }
 
-/// In all of a picture: marks of one plot stand next to each other.
+/// join_marks() for a whole picture, in which the marks of one plot follow each other.
 void join_all_marks(xmlNode* node) {
   for (xmlNode* child = node->children; child != nullptr;) {
     xmlNode* before = child->prev;
@@ -491,7 +491,7 @@ class PageBuilder {
       cell_text(add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr), column.heading,
                 is_symbol ? CellKind::kSymbol : CellKind::kText);
     }
-    // The last rows stay together, so that none stands alone on the next page.
+    // The last rows stay together, so that none is alone on the next page.
     constexpr std::size_t kTogether = 3;
     const std::size_t rows = content.rows.size();
     xmlNode* body = nullptr;

@@ -16,8 +16,8 @@ struct HtmlPage {
 /// The document as one HTML page in UTF-8: no scripts, nothing loaded from elsewhere, figures inside as SVG,
 /// set for A4 paper with the identification, the cautions and the page number on every printed page. All text
 /// is put into libxml2's tree as text, so that markup in a name stays a name.
-/// @throws std::runtime_error if gnuplot fails; where it is not installed the page says so in the figures'
-/// place
+/// @throws std::runtime_error if gnuplot fails; if it is not installed the page reports this in place of the
+/// figures
 HtmlPage document_html(const Document& document);
 
 /// A section as a part of a page of others, without a style: one <div>. Its figures have captions without

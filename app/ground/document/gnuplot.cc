@@ -6,6 +6,7 @@
 #include <fstream>
 #include <sstream>
 #include <stdexcept>
+#include <system_error>
 
 #include "app/ground/system/temporary_folder.h"
 
@@ -36,6 +37,21 @@ std::string gnuplot_quoted(const std::string& text) {
 void run_gnuplot(const std::filesystem::path& script) {
   if (run_tool(kGnuplot, {kNoStartupFiles, script.string()}, ToolOutput::kShown, kLongestDrawing) != 0)
     throw std::runtime_error(fmt::format("gnuplot failed on {} (the script is kept)", script.string()));
+}
+
+void draw_file(const std::string& script, const std::filesystem::path& output) {
+  std::filesystem::path kept = output;
+  kept += ".gp";
+  {
+    std::ofstream file(kept);
+    file << script;
+    if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", kept.string()));
+  }
+  run_gnuplot(kept);
+  std::error_code ignored;
+  std::filesystem::remove(kept, ignored);
+  if (!std::filesystem::exists(output))
+    throw std::runtime_error(fmt::format("gnuplot wrote no {}", output.string()));
 }
 
 std::string draw_svg(const Figure& figure) {

@@ -4,16 +4,17 @@
 #include <array>
 #include <cctype>
 #include <charconv>
+#include <cmath>
 #include <cstdlib>
+
+#include "drivers/text/text.h"
 
 namespace abcal {
 namespace {
 
-bool is_digit(char c) {
-  return c >= '0' && c <= '9';
-}
+using pieces::is_digit;
 
-/// Whether a character belongs to a word, so that no number begins or ends beside it. Bytes of other than
+/// Whether a character belongs to a word, so that no number begins or ends next to it. Bytes of other than
 /// ASCII letters ("°", "µ") do not.
 bool is_of_word(char c) {
   return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_';
@@ -82,6 +83,11 @@ std::string typeset_numbers(std::string_view text) {
     in_word = true;
   }
   return out;
+}
+
+int place_of_second_digit(double number) {
+  constexpr double kRoundedUp = 0.995;  // 9.95 and more are 10 in two digits
+  return static_cast<int>(std::floor(std::log10(number / kRoundedUp))) - 1;
 }
 
 std::string without_negative_zero(std::string number) {

@@ -1,12 +1,11 @@
 #include "app/ground/document/valid_text.h"
 
-#include <nlohmann/json.hpp>
+#include "app/ground/document/json_text.h"
 
 namespace abcal {
 
 std::string valid_text(const std::string& text) {
-  using Json = nlohmann::json;
-  std::string valid = Json::parse(Json(text).dump(-1, ' ', false, Json::error_handler_t::replace));
+  std::string valid = nlohmann::json::parse(json_text(nlohmann::json(text)));
   for (char& c : valid) {
     if (static_cast<unsigned char>(c) < 0x20 && c != '\n' && c != '\t') c = ' ';
   }

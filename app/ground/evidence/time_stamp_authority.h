@@ -12,8 +12,8 @@ struct KeptTimeStamp {
   bool new_one = true;  ///< False: the run had one already, which stays.
 };
 
-/// The address of the authority that stamps runs: as given, else as the environment variable
-/// ABCAL_TIME_STAMP_AUTHORITY says; empty: none is configured.
+/// The address of the authority that stamps runs: as given, otherwise from the environment variable
+/// ABCAL_TIME_STAMP_AUTHORITY; empty: none is configured.
 std::string time_stamp_authority(const std::string& given);
 
 /// Asks an authority to stamp the hash of a closed run (RFC 3161 over HTTP) and keeps the answer with the

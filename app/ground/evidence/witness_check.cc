@@ -105,14 +105,14 @@ class Comparison {
     return true;
   }
 
-  /// By the time since the start of the computer, which nobody can set; across a start, by UTC.
+  /// By the time since the start of the computer, which cannot be set; across a start, by UTC.
   double seconds_since_last(const WitnessStatement& now) const {
     if (!now.boot_id.empty() && now.boot_id == last_->boot_id)
       return 1e-9 * static_cast<double>(now.since_boot_ns - last_->since_boot_ns);
     return seconds_of(now.utc) - seconds_of(last_->utc);
   }
 
-  /// @return the number of angles up to a link; nothing: the run has no such link
+  /// @return the number of angles up to a link; nullopt if the run does not have this link
   std::optional<std::size_t> place_of(const std::string& link) const {
     const auto found = place_of_.find(link);
     return found == place_of_.end() ? std::nullopt : std::optional(found->second);

@@ -29,7 +29,7 @@ inline constexpr double kLeastWitnessedTime = 0.8;
 
 /// Compares the statements of the witness about a run with its links.
 /// @param trust  keys of benches; none: the signatures are not checked, and nothing is witnessed
-/// @throws RunFileError if the file is no run file
+/// @throws RunFileError if the file is not a run file
 WitnessCheck check_witness(const std::filesystem::path& run, const Trust& trust);
 
 }  // namespace abcal

@@ -15,6 +15,7 @@
 #include <system_error>
 #include <utility>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/evidence/witness_socket.h"
 #include "app/ground/system/detached_process.h"
 #include "app/ground/system/helper_program.h"
@@ -27,7 +28,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// Longest time in which a witness beside this program ends.
+/// Longest wait for the end of a witness that this program has started.
 constexpr int kEndMs = 2000;
 
 constexpr const char* kSilent = "the witness does not answer";
@@ -42,7 +43,7 @@ int milliseconds_until(std::chrono::steady_clock::time_point deadline) {
   return static_cast<int>(std::max(left, std::chrono::milliseconds(0)).count());
 }
 
-/// The bytes of a signature; empty: the text is no signature.
+/// The bytes of a signature; empty if the text is not one.
 std::string bytes_of(std::string_view hexadecimal) {
   constexpr std::string_view kDigits = "0123456789abcdef";
   if (hexadecimal.size() != 128 || hexadecimal.find_first_not_of(kDigits) != std::string_view::npos)
@@ -58,7 +59,7 @@ std::string member(const Json& json, const char* name) {
   return found != json.end() && found->is_string() ? found->get<std::string>() : std::string();
 }
 
-/// The witness returned a line that does not say what was asked.
+/// The witness returned a line that does not agree with the question.
 [[noreturn]] void refuse_line(const std::string& question, const std::string& line) {
   throw WitnessRefusal(fmt::format(
       "the witness was asked {}; found the line {}; required: a line that says so", question, line));
@@ -92,7 +93,7 @@ class WitnessClient::Connection {
     ::waitpid(process_, nullptr, WNOHANG);
   }
 
-  /// @return nothing: the connection has ended
+  /// @return nullopt if the connection has ended
   /// @throws WitnessSilent at the deadline
   std::optional<std::string> ask(const std::string& question, Instant deadline) {
     if (!send_witness_packet(socket_.number(), question)) return std::nullopt;
@@ -216,7 +217,7 @@ std::optional<WitnessedLine> WitnessClient::fetch_stored(const std::string& run,
                                                          std::optional<std::int64_t> k) {
   Json question = {{"do", "fetch"}, {"run", run}, {"act", to_string(act)}};
   if (k) question["k"] = *k;
-  const std::string words = question.dump(-1, ' ', false, Json::error_handler_t::replace);
+  const std::string words = json_text(question);
   std::optional<WitnessedLine> line = line_of(ask(words), words);
   if (!line) return std::nullopt;
   const WitnessStatement found = parse_witness_line(line->line);
@@ -241,7 +242,7 @@ WitnessedLine WitnessClient::sign(const WitnessRequest& request) {
   return *std::move(line);
 }
 
-/// A line that the witness has signed. @return nothing: it says that it has none
+/// A line that the witness has signed. @return nullopt if the witness has none
 std::optional<WitnessedLine> WitnessClient::line_of(const Answer& answer, const std::string& question) const {
   if (answer.json.contains("none")) return std::nullopt;
   WitnessedLine line{member(answer.json, "line"), bytes_of(member(answer.json, "signature"))};

@@ -17,7 +17,7 @@
 
 namespace abcal {
 
-/// The witness did not answer in time, or nobody serves its socket. The request may be repeated: a witness
+/// The witness did not answer in time, or its socket is not served. The request may be repeated: a witness
 /// answers a repetition with the line that it has signed already.
 class WitnessSilent : public std::runtime_error {
  public:
@@ -32,20 +32,20 @@ struct LinkAnswer {
 };
 
 /// Asks a witness (abcal-witness, docs/witness.md) over its socket. Every line that it returns is checked: it
-/// says what was asked, and its signature fits public_pem(). Any thread may use it.
+/// agrees with the question, and its signature fits public_pem(). Any thread may use it.
 class WitnessClient {
  public:
   struct Limits {
     std::chrono::milliseconds answer{2000};   ///< Longest time of a question.
-    std::chrono::milliseconds start{10'000};  ///< Instead, if a witness beside this program must start first.
+    std::chrono::milliseconds start{10'000};  ///< Instead, if this program must start a witness first.
     std::chrono::milliseconds again{1000};    ///< Between an attempt to post a link and the next one.
   };
 
   /// The witness of this computer: the socket that the environment variable ABCAL_WITNESS names ("none": no
   /// witness); otherwise kWitnessSocket if it exists; otherwise, if ABCAL_SIGNING_KEY names a key, a witness
-  /// that is started beside this program and ends with it, with the log witness-KEY.db in state_folder(),
-  /// where KEY is the beginning of the fingerprint of its key.
-  /// @return null: there is none
+  /// that this program starts and that ends with it, with the log witness-KEY.db in state_folder(), where KEY
+  /// is the beginning of the fingerprint of its key.
+  /// @return null if there is none
   /// @throws std::runtime_error if that witness cannot be reached or cannot start; std::invalid_argument if
   /// the key cannot be used
   static std::unique_ptr<WitnessClient> find();

@@ -3,13 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <string_view>
 
 #include "app/ground/document/valid_text.h"
+#include "drivers/text/names.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -18,7 +18,10 @@ namespace {
 using OrderedJson = nlohmann::ordered_json;
 
 constexpr const char* kSchema = "abcal.witness/1";
-constexpr std::array<std::string_view, 4> kActs{"begin", "link", "close", "head"};
+constexpr auto kActs = names<WitnessAct>({{WitnessAct::kBegin, "begin"},
+                                          {WitnessAct::kLink, "link"},
+                                          {WitnessAct::kClose, "close"},
+                                          {WitnessAct::kHead, "head"}});
 
 /// Values that a member may hold.
 enum class Rule {
@@ -181,14 +184,14 @@ void add_request(OrderedJson& json, const WitnessRequest& request) {
 
 }  // namespace
 
-std::string to_string(WitnessAct act) {
-  return std::string(kActs.at(static_cast<std::size_t>(act)));
+std::string_view to_string(WitnessAct act) {
+  return kActs.of(act);
 }
 
 WitnessAct witness_act_from(const std::string& name) {
-  const auto found = std::ranges::find(kActs, name);
-  if (found == kActs.end()) refuse_member("do", "another text", fmt::format("{}", fmt::join(kActs, ", ")));
-  return static_cast<WitnessAct>(found - kActs.begin());
+  const auto act = kActs.value(name);
+  if (!act) refuse_member("do", "another text", fmt::format("{}", fmt::join(kActs.all(), ", ")));
+  return *act;
 }
 
 void require_valid(const WitnessRequest& request) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 #include "protocol/record/witnessed_line.h"
 
@@ -23,7 +24,7 @@ struct WitnessRequest {
   std::string run;     ///< Begin, link, close: identity of the run; not empty.
   std::string bench;   ///< Begin: name of the bench.
   std::string person;  ///< Begin: the operator, as the run file has it.
-  /// Begin: the link behind which angles are witnessed: the first link of the run, or, where it goes on, the
+  /// Begin: the link after which angles are witnessed: the first link of the run, or, if it continues, the
   /// last link of its dwells. Head: last link of the register.
   std::string head;
   bool simulated = false;         ///< Begin: the instruments are simulated; such a run has no links.
@@ -53,7 +54,7 @@ struct WitnessStatement : WitnessRequest {
 };
 
 /// "begin", "link", "close" or "head".
-std::string to_string(WitnessAct act);
+std::string_view to_string(WitnessAct act);
 
 /// The act of that name. @throws std::invalid_argument
 WitnessAct witness_act_from(const std::string& name);
@@ -73,14 +74,14 @@ WitnessStatement parse_witness_line(const std::string& line);
 std::string to_json(const WitnessRequest& request);
 
 /// Parses a request; the order of members does not matter.
-/// @throws std::invalid_argument for anything else, also for a member that its act does not have
+/// @throws std::invalid_argument for malformed JSON or unknown members
 WitnessRequest parse_witness_request(const std::string& json);
 
-/// Whether the line was signed by the owner of a public key (PEM). False for a text that is no key.
+/// Whether the line was signed by the owner of a public key (PEM). False for a text that is not a key.
 bool is_witnessed_by(const WitnessedLine& witnessed, const std::string& public_pem);
 
-/// The witness refuses a request: it contradicts what it has signed, or is invalid. what() says what was
-/// found and what is required. It would refuse a repetition as well.
+/// The witness refuses a request: it contradicts what it has signed, or is invalid. what() states what was
+/// found and what is required. A repetition would be refused, too.
 class WitnessRefusal : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

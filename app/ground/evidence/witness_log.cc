@@ -29,7 +29,7 @@ struct Place {
 };
 
 Place place_of(const WitnessRequest& request) {
-  const std::string act = to_string(request.what);
+  const std::string act(to_string(request.what));
   if (request.what == WitnessAct::kHead) return {request.register_identity, act, request.entries};
   return {request.run, act, request.what == WitnessAct::kLink ? request.k : 0};
 }
@@ -90,7 +90,7 @@ WitnessedLine WitnessLog::answer(const WitnessRequest& request, std::uint32_t ui
   if (stored) {
     const WitnessStatement before = parse_witness_line(stored->line);
     if (request_of(before) == request) return *std::move(stored);
-    // A run goes on behind angles that were not signed: its statements show the gap.
+    // A run continues after angles that were not signed: its statements show the gap.
     const bool is_gap = goes_on && before.simulated == request.simulated && before.bench == request.bench &&
                         !latest(request.run, WitnessAct::kClose);
     if (!is_gap)
@@ -156,7 +156,7 @@ void WitnessLog::require_not_put_back(const WitnessRequest& request) {
         request.register_identity, request.entries, request.head, last->entries, last->head, last->utc);
 }
 
-/// How many beginnings of a run were signed: it has gone on behind angles that were not.
+/// Number of signed beginnings of a run: more than one if it continued after angles that were not signed.
 std::int64_t WitnessLog::begins_of(const std::string& run) {
   SqliteStatement row = database_.prepare("select count(*) from answer where run = ? and act = 'begin'");
   row.bind(1, std::string_view(run));
@@ -189,7 +189,7 @@ WitnessedLine WitnessLog::add(const WitnessRequest& request, std::int64_t k, std
 std::optional<WitnessedLine> WitnessLog::fetch(const std::string& run, WitnessAct act, std::int64_t k) {
   SqliteStatement row =
       database_.prepare("select line, signature from answer where run = ? and act = ? and k = ?");
-  row.bind(1, std::string_view(run)).bind(2, std::string_view(to_string(act))).bind(3, k);
+  row.bind(1, std::string_view(run)).bind(2, to_string(act)).bind(3, k);
   if (!row.step()) return std::nullopt;
   return WitnessedLine{row.text(0), row.blob(1)};
 }
@@ -197,7 +197,7 @@ std::optional<WitnessedLine> WitnessLog::fetch(const std::string& run, WitnessAc
 std::optional<WitnessedLine> WitnessLog::fetch_latest(const std::string& run, WitnessAct act) {
   SqliteStatement row = database_.prepare(
       "select line, signature from answer where run = ? and act = ? order by k desc limit 1");
-  row.bind(1, std::string_view(run)).bind(2, std::string_view(to_string(act)));
+  row.bind(1, std::string_view(run)).bind(2, to_string(act));
   if (!row.step()) return std::nullopt;
   return WitnessedLine{row.text(0), row.blob(1)};
 }

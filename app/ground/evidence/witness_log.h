@@ -26,7 +26,7 @@ class WitnessLog {
  public:
   /// Opens the log, or makes it if it does not exist.
   /// @param now  the clocks; asked once for each new line, while no other process can add one
-  /// @throws std::invalid_argument if the key is no private Ed25519 key, or is not that of the log
+  /// @throws std::invalid_argument if the key is not a private Ed25519 key, or is not that of the log
   /// @throws RunFileError
   WitnessLog(const std::filesystem::path& path, std::string private_pem, std::function<WitnessMoment()> now);
 

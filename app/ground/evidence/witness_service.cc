@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/evidence/witness_socket.h"
 #include "app/ground/system/output.h"
 #include "protocol/record/signature.h"
@@ -22,14 +23,10 @@ using Json = nlohmann::json;
 /// Longest reason of a refusal, in bytes: it may repeat what a client has sent.
 constexpr std::size_t kLongestReason = 4096;
 
-std::string dump(const Json& json) {
-  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
-}
-
 std::string refusal(const std::string& why, bool again = false) {
   Json json = {{"ok", false}, {"why", shortened_text(why, kLongestReason)}};
   if (again) json["again"] = true;
-  return dump(json);
+  return json_text(json);
 }
 
 std::string hexadecimal(std::string_view bytes) {
@@ -43,8 +40,8 @@ std::string hexadecimal(std::string_view bytes) {
 }
 
 std::string reply_of(const std::optional<WitnessedLine>& line) {
-  if (!line) return dump({{"ok", true}, {"none", true}});
-  return dump({{"ok", true}, {"line", line->line}, {"signature", hexadecimal(line->signature)}});
+  if (!line) return json_text({{"ok", true}, {"none", true}});
+  return json_text({{"ok", true}, {"line", line->line}, {"signature", hexadecimal(line->signature)}});
 }
 
 }  // namespace
@@ -76,7 +73,7 @@ bool WitnessService::tick() {
     waiting.push_back({.fd = client.socket.number(), .events = POLLIN, .revents = 0});
   waiting.push_back({.fd = listener_.number(), .events = POLLIN, .revents = 0});  // -1 is passed over.
   ::poll(waiting.data(), waiting.size(), -1);
-  // Each client stands where it stood: one that has asked goes to the end only once it is answered.
+  // The order of the clients is kept: one that has asked moves to the end only after its answer.
   auto client = clients_.begin();
   for (std::size_t k = 0; k + 1 < waiting.size(); ++k) {
     const auto current = client++;
@@ -129,7 +126,7 @@ std::string WitnessService::reply_to(const std::string& packet, std::uint32_t ui
   };
   const std::string what = text("do");
   if (what == "who")
-    return dump(
+    return json_text(
         {{"ok", true}, {"public", log_.public_pem()}, {"fingerprint", fingerprint_of(log_.public_pem())}});
   if (what == "fetch") {
     const WitnessAct act = witness_act_from(text("act"));

@@ -12,7 +12,7 @@
 namespace abcal {
 
 /// Answers the questions of programs from a log (WitnessLog), one after the other. A client that sends
-/// anything else is told why it is refused.
+/// anything else receives the reason of the refusal.
 class WitnessService {
  public:
   struct Options {
@@ -31,7 +31,7 @@ class WitnessService {
   WitnessService(const WitnessService&) = delete;
   WitnessService& operator=(const WitnessService&) = delete;
 
-  /// Serves until the end of the owner; without an owner, for ever.
+  /// Serves until the end of the owner; without an owner, without end.
   void serve();
 
  private:
@@ -52,7 +52,7 @@ class WitnessService {
   std::list<Client> clients_;  ///< The one that has been silent the longest first.
 };
 
-/// Tells the owner of a witness that cannot start why: answers each of its questions with the reason until it
+/// Reports to the owner why the witness cannot start: answers each of its questions with the reason until it
 /// ends.
 void refuse_owner(int socket, const std::string& why);
 

@@ -48,7 +48,7 @@ Descriptor listen_as_witness(const std::filesystem::path& path) {
     throw std::runtime_error(fmt::format(
         "{}: another process serves this socket; required: one witness, or another path", path.string()));
   std::error_code ignored;
-  // A file that is no socket refuses connections, too.
+  // A file that is not a socket refuses connections, too.
   if (found == ECONNREFUSED && std::filesystem::is_socket(path, ignored))
     std::filesystem::remove(path, ignored);
   Descriptor listener = new_socket(path);

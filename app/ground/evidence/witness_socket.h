@@ -16,7 +16,7 @@ namespace abcal {
 /// Longest packet, in bytes.
 inline constexpr std::size_t kLongestWitnessPacket = 64 * 1024;
 
-/// Listens at a path, which all users may connect to. A socket that nobody serves any more is replaced.
+/// Listens at a path, which all users may connect to. A socket that is no longer served is replaced.
 /// @throws std::runtime_error also if another process serves it
 Descriptor listen_as_witness(const std::filesystem::path& path);
 
@@ -26,7 +26,8 @@ Descriptor connect_to_witness(const std::filesystem::path& path);
 /// Never waits. @return false: the other end is gone, or its queue is full
 bool send_witness_packet(int socket, const std::string& packet);
 
-/// Takes a packet that has come; never waits. @return nothing: there is none, the connection has ended
+/// Takes a packet that has arrived; never waits. @return nullopt if there is none, or if the connection has
+/// ended
 /// @throws std::invalid_argument for a longer packet than kLongestWitnessPacket
 std::optional<std::string> receive_witness_packet(int socket);
 

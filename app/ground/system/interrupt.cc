@@ -63,7 +63,7 @@ bool is_ignored(int number) {
   ::_exit(kEndedBySignal + number);    // The first process of a container has no default actions.
 }
 
-/// Ctrl-Z: what moves is halted, then the program stands still until SIGCONT.
+/// Ctrl-Z: halts what moves, then suspends the program until SIGCONT.
 void suspend() {
   {
     SignalPolicy& state = policy();

@@ -20,18 +20,18 @@ void watch_for_signals();
 /// From now on no signal ends the program; the caller must end it soon after one.
 void end_orderly_at_signals();
 
-/// Undertakes to end orderly. Stop is requested when one of these signals has come. Callbacks on it run in
-/// the watching thread, at once: that is how a stage is halted while another thread waits for a reply.
+/// Undertakes to end orderly. Stop is requested when one of these signals arrives. Callbacks on it run in the
+/// watching thread, at once: that is how a stage is halted while another thread waits for a reply.
 std::stop_token interrupt_token();
 
 /// First action of a signal that ends the program at once, e.g. to remove a temporary file; valid for the
-/// lifetime of this object. It runs in the watching thread, while the others go on.
+/// lifetime of this object. It runs in the watching thread, while the others continue.
 class BeforeSignalEnds {
  public:
   explicit BeforeSignalEnds(std::function<void()> action);
   BeforeSignalEnds(const BeforeSignalEnds&) = delete;
   BeforeSignalEnds& operator=(const BeforeSignalEnds&) = delete;
-  ~BeforeSignalEnds();  ///< Does not return once such a signal has come.
+  ~BeforeSignalEnds();  ///< Does not return once such a signal has arrived.
 
  private:
   std::list<std::function<void()>>::iterator place_;

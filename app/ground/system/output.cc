@@ -181,7 +181,7 @@ class StandardErrorSink final : public spdlog::sinks::base_sink<spdlog::details:
 spdlog::logger& logger() {
   static spdlog::logger instance = [] {
     spdlog::logger made("abcal", std::make_shared<StandardErrorSink>());
-    made.set_pattern("%v");  // The first word of a line says its level.
+    made.set_pattern("%v");  // The first word of a line is its level.
     made.set_error_handler([](const std::string&) {});
     return made;
   }();

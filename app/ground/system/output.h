@@ -17,8 +17,8 @@ namespace abcal {
 /// gets its number. Output to it still fails, so that the caller learns of it. Call first in main().
 void reserve_standard_descriptors() noexcept;
 
-/// Text on standard error, as it stands; the caller ends its lines. At most 16 kB are kept. A reader that
-/// does not read costs 0.3 s once: after that, text is left out until room is free again.
+/// Text on standard error, unchanged; the caller ends its lines. At most 16 kB are kept. A reader that does
+/// not read costs 0.3 s once: after that, text is left out until room is free again.
 void vprint_log(fmt::string_view format, fmt::format_args arguments) noexcept;
 template <typename... Arguments>
 void print_log(fmt::format_string<Arguments...> format, const Arguments&... arguments) noexcept {
@@ -35,7 +35,7 @@ void print_warning(std::string_view text) noexcept;
 /// A line "abcal: TEXT" on standard error.
 void print_error(std::string_view text) noexcept;
 
-/// Text on standard output, as it stands. Waits as long as its reader does.
+/// Text on standard output, unchanged. Waits as long as its reader does.
 void vprint_result(fmt::string_view format, fmt::format_args arguments) noexcept;
 template <typename... Arguments>
 void print_result(fmt::format_string<Arguments...> format, const Arguments&... arguments) noexcept {

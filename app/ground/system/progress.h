@@ -22,7 +22,7 @@ class ProgressBar {
 
   /// `done` of `total`, with a few words on the current activity. Redraws at most ten times a second.
   void show(double done, double total, std::string_view words = {});
-  /// Prints a separate line above the bar, also on a stream that is no terminal.
+  /// Prints a separate line above the bar, also on a stream that is not a terminal.
   void line(std::string_view text);
   /// Removes the bar.
   void clear();
@@ -37,7 +37,7 @@ class ProgressBar {
   double done_at_start_ = -1.0;
 };
 
-/// The bar of a job that tells nothing of its progress, by the time that such jobs usually take.
+/// The bar of a job that does not report its progress, by the usual duration of such jobs.
 class UsualDurationBar {
  public:
   /// @param usual_s  jobs that usually take less than 1 s get no bar

@@ -51,8 +51,8 @@ std::vector<std::string> with_help_option(std::vector<std::string> words) {
   return words;
 }
 
-/// The answer to a word in the place of a command that is none: CLI11 says only that a command is missing.
-/// @return nothing if the commands are known
+/// The message for an unknown command: CLI11 reports only that a command is missing.
+/// @return nullopt if the commands are known
 std::optional<std::string> unknown_command(CLI::App& app, const std::vector<std::string>& words) {
   CLI::App* parent = &app;
   std::string path = app.get_name();

@@ -44,7 +44,7 @@ std::string secret_of_file(const std::string& path) {
   return secret;
 }
 
-/// A line of standard input: typed behind a prompt and not shown, or as it comes where that is no terminal.
+/// A line of standard input: typed behind a prompt and not shown, or unchanged if that is not a terminal.
 std::string secret_line(const std::string& prompt) {
   std::string secret;
   if (::isatty(STDIN_FILENO) == 0) {

@@ -13,7 +13,7 @@ struct FreeLocale {
   void operator()(std::remove_pointer_t<locale_t>* locale) const { freelocale(locale); }
 };
 
-/// The characters of UTF-8, whatever the locale of the user is: widths must not depend on it.
+/// The characters of UTF-8, independent of the user's locale, on which widths must not depend.
 locale_t utf8() {
   static const std::unique_ptr<std::remove_pointer_t<locale_t>, FreeLocale> kLocale(
       newlocale(LC_CTYPE_MASK, "C.UTF-8", nullptr));
@@ -26,7 +26,7 @@ struct Character {
   std::size_t columns = 1;
 };
 
-/// Bytes that are no UTF-8 count as one column each. The locale of the thread must be utf8().
+/// Bytes that are not UTF-8 count as one column each. The locale of the thread must be utf8().
 Character first_character(std::string_view text) {
   std::mbstate_t state{};
   wchar_t wide = 0;

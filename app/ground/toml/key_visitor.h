@@ -100,9 +100,11 @@ class KeyVisitor {
   virtual void table(const std::string& key, const std::function<void()>& visit_keys) = 0;
   /// Whether the file that is read has a list at the top under this name, not a table.
   virtual bool is_list(const std::string&) const { return false; }
+  /// Whether a file that is read gives a value under a path from its top ("item[0].simulation.k2").
+  virtual bool gives(const std::string&) const { return true; }
   /// Whether every form is to be visited where a file has one of several.
   virtual bool shows_every_form() const { return false; }
-  /// An array of tables below the current section: visits each entry; new ones (index >= size) come from the
+  /// An array of tables below the current section: visits each entry; new ones (index >= size) are from the
   /// file.
   virtual void tables(const std::string& key, std::size_t size,
                       const std::function<void(std::size_t)>& visit_entry) = 0;

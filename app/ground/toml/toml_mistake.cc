@@ -8,15 +8,15 @@
 #include <optional>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal {
 namespace {
 
 constexpr std::string_view kSpace = " \t\r";
 
 std::string_view trimmed(std::string_view text) {
-  const std::size_t first = text.find_first_not_of(kSpace);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kSpace) - first + 1);
+  return pieces::trimmed(text, kSpace);
 }
 
 bool is_word_character(char c) {
@@ -30,13 +30,6 @@ bool is_bare_key(std::string_view text) {
 bool are_digits(std::string_view text) {
   return !text.empty() &&
          std::ranges::all_of(text, [](char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0; });
-}
-
-std::string lower(std::string_view text) {
-  std::string words(text);
-  std::ranges::transform(words, words.begin(),
-                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return words;
 }
 
 /// A line in its parts: "  key", " = ", "value", "  # comment".
@@ -177,7 +170,7 @@ Guess no_value(const Line& line) {
 }
 
 Guess truth(const Line& line) {
-  const std::string word = lower(line.value);
+  const std::string word = pieces::lower(line.value);
   const bool yes = word == "true" || word == "yes" || word == "on",
              no = word == "false" || word == "no" || word == "off";
   if (!yes && !no) return std::nullopt;
@@ -189,7 +182,7 @@ Guess number(const Line& line) {
   const auto numeral = leading_number(line.value);
   if (!numeral) return std::nullopt;
   const std::string_view rest = trimmed(line.value.substr(numeral->length));
-  // A date, a time, an address or a name that begins with digits is no number with a unit.
+  // A date, a time, an address or a name that begins with digits is not a number with a unit.
   const bool is_unit = rest.empty() || rest.front() == '%' ||
                        static_cast<unsigned char>(rest.front()) >= 0x80 ||
                        (std::isalpha(static_cast<unsigned char>(rest.front())) != 0 &&
@@ -228,7 +221,7 @@ Guess text(const Line& line) {
   });
   if (!is_plain) return std::nullopt;
   std::string required = "text in quotes";
-  if (lower(value).starts_with("com") && are_digits(value.substr(3)))
+  if (pieces::lower(value).starts_with("com") && are_digits(value.substr(3)))
     required += "; serial ports have names such as \"/dev/ttyUSB0\" here: `abcal instruments` lists them";
   return TomlMistake{"text without quotes", required, with_value(line, fmt::format("\"{}\"", value))};
 }

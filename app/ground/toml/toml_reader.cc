@@ -25,8 +25,8 @@ constexpr std::size_t kMostProblems = 50;
 constexpr std::size_t kLongestExcerpt = 160;
 
 constexpr std::size_t kLargestTomlFile = 16U << 20U;  // bytes
-// Parts of one key, and brackets within each other. No file of ours comes near (3 and 2); tables within
-// tables without end would exhaust the stack.
+// Parts of one key, and brackets within each other. Our files are far below (3 and 2); tables within tables
+// without end would exhaust the stack.
 constexpr std::size_t kDeepestToml = 16;
 
 constexpr std::string_view kFrom = "from", kName = "name";  // Keys of a reference to a record.
@@ -161,7 +161,7 @@ std::string meant_key(std::string_view written, const std::set<std::string>& kno
   return nearest_word(written, {known.begin(), known.end()});
 }
 
-/// Whether a text is a number, a date or a truth of TOML, which stand without quotes.
+/// Whether a text is a number, a date or a boolean of TOML, which are written without quotes.
 bool is_value_without_quotes(const std::string& text) {
   if (text.empty() || text.find_first_of("\"'\\\n") != std::string::npos) return false;
   try {
@@ -569,6 +569,10 @@ void TomlReader::table(const std::string& key, const std::function<void()>& visi
   entry_line_ = 0;
 }
 
+bool TomlReader::gives(const std::string& path) const {
+  return root_.at_path(path).node() != nullptr;
+}
+
 bool TomlReader::is_list(const std::string& key) const {
   const toml::node* node = root_.get(key);
   return node != nullptr && node->is_array();
@@ -744,7 +748,7 @@ void TomlReader::report_unknown(const toml::table& table, const std::string& pat
 namespace {
 
 /// The text as a table, after each line that is not TOML has been replaced by what it may mean.
-/// @return nothing if one of them is not clear
+/// @return nullopt if one of them is not clear
 std::optional<toml::table> parse_with_corrections(std::string_view text, const std::string& source,
                                                   std::vector<Problem>& problems) {
   std::vector<std::string> lines;

@@ -52,6 +52,7 @@ class TomlReader final : public KeyVisitor {
               const std::function<void(std::size_t)>& visit_entry) override;
   void table(const std::string& key, const std::function<void()>& visit_keys) override;
   bool is_list(const std::string& key) const override;
+  bool gives(const std::string& path) const override;
 
   /// A date of TOML, without quotes: 2026-03-01.
   void date(const std::string& key, std::optional<std::chrono::year_month_day>& value);
@@ -86,7 +87,7 @@ class TomlReader final : public KeyVisitor {
                           std::string_view written, const std::string& meant);
   /// The line of the file, if it is short enough to be shown.
   std::string_view line_at(std::uint32_t line) const;
-  /// A value as it stands in the file.
+  /// A value as written in the file.
   std::string written_value(const toml::source_region& place) const;
   const toml::node* find(const std::string& key);
   void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,

@@ -3,12 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cstdlib>
 #include <stdexcept>
 
 #include "app/ground/units/typed_unit.h"
 #include "app/ground/xml/xml_tree.h"
+#include "drivers/text/number.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -209,12 +209,11 @@ UnitMeaning meaning_of_d_si(std::string_view text) {
     rest.remove_prefix(end);
     if (word.starts_with("tothe{") && word.ends_with("}")) {
       const std::string_view digits = word.substr(6, word.size() - 7);
-      int power = 0;
-      const auto [stop, error] = std::from_chars(digits.data(), digits.data() + digits.size(), power);
-      if (error != std::errc() || stop != digits.data() + digits.size() || std::abs(power) > 12)
+      const auto power = pieces::number<int>(digits);
+      if (!power || std::abs(*power) > 12)
         refuse(fmt::format("power \"{}\"; required: a whole number", digits));
       if (!power_may_follow) refuse("a power without a unit before it");
-      last = meaning_to_the(last, power);
+      last = meaning_to_the(last, *power);
     } else if (const UnitPrefix* known = find_d_si_prefix(word)) {
       take_last();
       prefix *= known->factor;

@@ -1,19 +1,16 @@
 #include "app/ground/units/typed_unit.h"
 
-#include <array>
-#include <utility>
-
+#include "drivers/text/names.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/response_unit.h"
 
 namespace abcal {
 namespace {
 
-constexpr std::array<std::pair<std::string_view, PerAcceleration>, 4> kDenominators{
-    {{"/(m/s2)", PerAcceleration::kSi},
-     {"/g_n", PerAcceleration::kStandard},
-     {"/g_loc", PerAcceleration::kLocal},
-     {"/g", PerAcceleration::kUnnamed}}};
+constexpr auto kDenominators = names<PerAcceleration>({{PerAcceleration::kSi, "/(m/s2)"},
+                                                       {PerAcceleration::kStandard, "/g_n"},
+                                                       {PerAcceleration::kLocal, "/g_loc"},
+                                                       {PerAcceleration::kUnnamed, "/g"}});
 
 /// In m/s2; 0: none.
 double acceleration_of(PerAcceleration per, double g_loc_mps2) {
@@ -36,13 +33,12 @@ double acceleration_of(PerAcceleration per, double g_loc_mps2) {
 std::string TypedUnit::name() const {
   if (per == PerAcceleration::kNone) return output;
   std::string text = output.find('/') == std::string::npos ? output : "(" + output + ")";
-  for (const auto& [denominator, of] : kDenominators)
-    if (of == per) text += denominator;
+  text += kDenominators.of(per);
   return text;
 }
 
 TypedUnit typed_unit(std::string_view name) {
-  for (const auto& [denominator, per] : kDenominators) {
+  for (const auto& [per, denominator] : kDenominators.rows) {
     if (!name.ends_with(denominator) || name.size() == denominator.size()) continue;
     name.remove_suffix(denominator.size());
     if (name.size() > 2 && name.starts_with('(') && name.ends_with(')'))

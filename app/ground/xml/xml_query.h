@@ -22,7 +22,7 @@ std::string xml_content(const xmlNode* node);
 std::vector<std::string> xml_words(std::string_view list);
 
 /// Asks a document by XPath. The prefixes dcc, si, ds (XML signature) and xades are known. Paths start at the
-/// root element unless `from` is given. @throws std::logic_error for a text that is no XPath
+/// root element unless `from` is given. @throws std::logic_error for a text that is not XPath
 class XmlQuery {
  public:
   /// @param document  must outlive the query

@@ -10,12 +10,13 @@
 #include <utility>
 
 #include "app/ground/xml/xml_query.h"
+#include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
 
-constexpr const char* kAdministrative = "administrative";
-constexpr const char* kTechnical = "technical";
+constexpr auto kKinds = names<AmendmentKind>(
+    {{AmendmentKind::kAdministrative, "administrative"}, {AmendmentKind::kTechnical, "technical"}});
 constexpr std::string_view kCore = "administrativeData/coreData/";
 
 /// Parts that differ in every certificate.
@@ -204,16 +205,11 @@ std::string cut(const std::string& text) {
 }  // namespace
 
 AmendmentKind amendment_kind_from(const std::string& word) {
-  if (word == kAdministrative) return AmendmentKind::kAdministrative;
-  if (word == kTechnical) return AmendmentKind::kTechnical;
-  throw std::invalid_argument(
-      fmt::format("amendment \"{}\"; required: {} (no result and nothing of the item "
-                  "changes) or {} (every change is listed on the certificate)",
-                  word, kAdministrative, kTechnical));
-}
-
-std::string to_string(AmendmentKind kind) {
-  return kind == AmendmentKind::kAdministrative ? kAdministrative : kTechnical;
+  if (const auto kind = kKinds.value(word)) return *kind;
+  throw std::invalid_argument(fmt::format(
+      "amendment \"{}\"; required: {} (no result and nothing of the item changes) or {} (every change "
+      "is listed on the certificate)",
+      word, kKinds.of(AmendmentKind::kAdministrative), kKinds.of(AmendmentKind::kTechnical)));
 }
 
 std::vector<CertificateStatement> statements_in(const std::string& xml, const std::string& source) {

@@ -12,7 +12,6 @@ enum class AmendmentKind {
 };
 /// @throws std::invalid_argument  for another word than "administrative" and "technical"
 AmendmentKind amendment_kind_from(const std::string& word);
-std::string to_string(AmendmentKind kind);
 
 /// One thing that a certificate says, as its XML has it: a value with unit, U and k, a verdict, a text.
 struct CertificateStatement {

@@ -73,7 +73,7 @@ class Inspection {
   void check_series(const std::vector<ReportData>& points, const ReportData& run, const std::string& which) {
     for (const ReportData& point : points) {
       if (!point.run) continue;
-      if (point.sha256 != run.sha256) check_state(point, point.path.filename().string());
+      if (point.sha256 != run.sha256) check_state(point, quoted(point.path.filename().string()));
       check_labels(point, kSeriesWords);
       check_identity(point, kSeriesWords);
       check_conditions(point, kSeriesWords);
@@ -119,7 +119,8 @@ class Inspection {
     const bool readable = check_units_of_limits(data);
     if (!run.has_numbers() || !data.run) return;
     run.stated =
-        stated_result(data.result(), units, laboratory_.scope, !laboratory_.laboratory.accreditation.empty());
+        stated_result(data.result(), units, laboratory_.scope, !laboratory_.laboratory.accreditation.empty(),
+                      run.monte_carlo ? &*run.monte_carlo : nullptr);
     if (!readable) return;
     for (const SpecificationLimit& limit : laboratory_.limits) {
       const auto quantity = stated_quantity(run.stated, limit.quantity);
@@ -329,14 +330,14 @@ class Inspection {
     const auto day = parse_date(data.ended_utc());
     for (const Equipment& one : laboratory_.equipment) {
       if (day && one.due && *one.due < *day)
-        of_run_.push_back({fmt::format("line {}, [[equipment]] {}, due", one.line, one.name),
+        of_run_.push_back({fmt::format("line {}, [[equipment]] \"{}\", due", one.line, one.name),
                            format_date(*one.due),
                            fmt::format("a date not before that of the {}, {}", which, format_date(*day))});
     }
     const std::string missing =
         serial_number_without_equipment(laboratory_.equipment, "angle", serial_numbers_of(data, "stage"));
     if (!missing.empty())
-      of_run_.push_back({which + ", stage", fmt::format("serial number {}", missing),
+      of_run_.push_back({which + ", stage", fmt::format("serial number \"{}\"", missing),
                          "an [[equipment]] with quantity = \"angle\" and this serial_number"});
     const bool volts = data.record.response_unit.ends_with("V");
     if (volts && std::none_of(laboratory_.equipment.begin(), laboratory_.equipment.end(),
@@ -364,9 +365,9 @@ std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult&
         shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
     shifts.push_back(shift);
   };
-  for (const char* axis : kAccelerometers) add(std::string("intrinsic_sensitivity_") + axis);
-  for (const char* pair : kPairs) add(std::string("intrinsic_angle_") + pair);
-  for (const char* axis : kAccelerometers) add(std::string("offset_") + axis);
+  for (const char* axis : kOutputNames) add(std::string("intrinsic_sensitivity_") + axis);
+  for (const char* pair : kOutputPairs) add(std::string("intrinsic_angle_") + pair);
+  for (const char* axis : kOutputNames) add(std::string("offset_") + axis);
   return shifts;
 }
 
@@ -466,6 +467,16 @@ std::string draft_number(const ReportData& run) {
          (run.is_one_of_several() ? fmt::format("-{}", run.item) : "");
 }
 
+void add_monte_carlo(CertificateRequest& request) {
+  const auto of = [](const ReportData& data) -> std::optional<CertifiedUncertainty> {
+    // A common fit of several items has no Monte Carlo; an incomplete run has no hash yet.
+    if (!data.sha256 || data.is_one_of_several()) return std::nullopt;
+    return certified_uncertainty_of(data.record, data.result(), *data.sha256);
+  };
+  request.monte_carlo = of(request.run);
+  if (request.as_found) request.monte_carlo_as_found = of(*request.as_found);
+}
+
 Certificate make_certificate(CertificateRequest request) {
   require_certifiable(request.run);
   if (request.as_found) require_certifiable(*request.as_found);
@@ -499,10 +510,12 @@ Certificate make_certificate(CertificateRequest request) {
     if (!request.issue->training && !request.draft) inspection.add_of_run(not_traceable);
   }
 
+  certificate.run.monte_carlo = std::move(request.monte_carlo);
   certificate.run.data = std::move(request.run);
   inspection.derive_and_decide(certificate.run.data, certificate.run);
   if (request.as_found) {
     certificate.as_found.emplace().data = std::move(*request.as_found);
+    certificate.as_found->monte_carlo = std::move(request.monte_carlo_as_found);
     Inspection silent(certificate.laboratory,
                       {});  // Units and limits are the same, so their problems are reported only once.
     silent.derive_and_decide(certificate.as_found->data, *certificate.as_found);

@@ -53,6 +53,8 @@ struct IssueFacts {
 /// One calibration in a certificate, with derived quantities and decisions.
 struct CertifiedRun {
   ReportData data;
+  /// Absent: no Monte Carlo of this kind of result, or no numbers.
+  std::optional<CertifiedUncertainty> monte_carlo;
   StatedResult stated;  ///< As the certificate states it. Empty without numbers.
   std::vector<Decision> decisions;
   bool has_numbers() const { return data.result().verdict != Verdict::kNotUsable; }
@@ -101,6 +103,8 @@ struct CertificateRequest {
   std::optional<ReportData> as_found;
   std::vector<ReportData> series;  ///< Points over temperature; empty: none.
   std::optional<IssueFacts> issue;
+  std::optional<CertifiedUncertainty> monte_carlo;  ///< That of `run`, as add_monte_carlo() makes it.
+  std::optional<CertifiedUncertainty> monte_carlo_as_found;  ///< That of `as_found`.
   bool draft = false;  ///< Make a draft in spite of problems of the run or the equipment.
 };
 
@@ -113,6 +117,10 @@ class CertificateRefused : public std::runtime_error {
  private:
   std::vector<Problem> problems_;
 };
+
+/// Makes the Monte Carlo of the results that are to be certified, where there is one of their kind. The
+/// certificate states its U where that is larger.
+void add_monte_carlo(CertificateRequest& request);
 
 /// Gathers a certificate, or reports every problem of the laboratory file and of the run together, before
 /// anything is written. For a draft, problems of the run and of the equipment's dates become reservations;

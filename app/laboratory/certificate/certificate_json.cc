@@ -74,6 +74,9 @@ nlohmann::ordered_json certificate_json(const std::string& xml) {
   Json json;
   json["number"] = query.text(core + "dcc:uniqueIdentifier");
   json["issued"] = text_or_null(query.text(core + "dcc:issueDate"));
+  json["monte_carlo"] = text_or_null(query.text(
+      "dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_monteCarlo']/dcc:declaration/"
+      "dcc:content"));
   json["results"] = Json::array();
   for (xmlNode* measurement : query.nodes("dcc:measurementResults/dcc:measurementResult")) {
     const std::string calibration = query.text("dcc:name/dcc:content", measurement);

@@ -295,9 +295,9 @@ Section equipment_section(const PageSource& from, xmlNode* measurement) {
 Section statement_section(const PageSource& from) {
   FactList list;
   for (const char* ref_type :
-       {"abc_measurand", "abc_uncertainty", "abc_deviations", "abc_scope", "abc_reproduction", "abc_sampling",
-        "abc_externalResults", "abc_opinions", "basic_adjustment", "abc_customerSupplied",
-        "basic_recalibration", "abc_amendment", "abc_witness"}) {
+       {"abc_measurand", "abc_uncertainty", "abc_monteCarlo", "abc_deviations", "abc_scope",
+        "abc_reproduction", "abc_sampling", "abc_externalResults", "abc_opinions", "basic_adjustment",
+        "abc_customerSupplied", "basic_recalibration", "abc_amendment", "abc_witness"}) {
     for (xmlNode* statement : from.xml.nodes(
              fmt::format("dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']", ref_type)))
       add_fact(list, from.content("dcc:name", statement),

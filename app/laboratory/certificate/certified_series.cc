@@ -33,7 +33,7 @@ std::optional<PlaceInSeries> place_of(const ReportData& point) {
 }
 
 std::string where_in_series(const ReportData& point) {
-  return fmt::format("{}, {}", kOption, point.path.filename().string());
+  return fmt::format("{}, \"{}\"", kOption, point.path.filename().string());
 }
 
 /// Adds the differences between a point and the run of the certificate.

@@ -104,14 +104,6 @@ void add_row_metadata(XmlElement& list, const Words& words, const BudgetRow& row
   add_text(source, row.source);
 }
 
-/// Source of an input in the language of the certificate.
-Wording source_words(const Words& words, const BudgetLine& line) {
-  if (line.source == kThisRun) return words("the readings of this run");
-  if (line.source == "default") return words("a default that nobody stated");
-  if (line.source.empty()) return words("not stated");
-  return words.as_given(words.known(line.source));
-}
-
 void add_row(XmlElement& budget, const Words& words, const std::vector<OutputGroup>& groups,
              const BudgetRow& row) {
   XmlElement list = budget.add("dcc:list");
@@ -176,7 +168,7 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
   for (const BudgetLine& line : budget.lines) {
     BudgetRow row;
     row.input = input_words(words, line.input);
-    row.source = source_words(words, line);
+    row.source = source_words(words, line.source);
     row.degrees_of_freedom = line.degrees_of_freedom;
     row.kind = line.type_a ? words("type A, {}", words.known(line.distribution))
                            : words("type B, {}", words.known(line.distribution));

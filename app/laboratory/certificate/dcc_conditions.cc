@@ -250,7 +250,7 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
     add_words(effect, "dcc:description",
               source == sizes.sources.end()
                   ? words("Standard uncertainty; a default that nobody stated")
-                  : words("Standard uncertainty; source: {}", words.known(source->second)));
+                  : words("Standard uncertainty; source: {}", source_words(words, source->second).text));
     add_real(effect, key.get(sizes), unit_of_effect(key.unit), std::string(key.words));
   }
 }

@@ -7,6 +7,7 @@
 #include <cctype>
 #include <cmath>
 #include <functional>
+#include <span>
 
 #include "app/ground/units/dsi_unit.h"
 #include "app/laboratory/certificate/dcc_budget.h"
@@ -18,6 +19,7 @@
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/measurand.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/quantities/quantity_groups.h"
 
 namespace abcal {
 namespace {
@@ -32,7 +34,7 @@ std::vector<std::string> labels(const std::string& symbol, const std::array<cons
 
 std::vector<std::string> row_labels(const std::string& symbol, std::size_t row) {
   std::vector<std::string> list;
-  for (const char* axis : kPlatterAxes) list.push_back(symbol + "_" + kAccelerometers[row] + axis);
+  for (const char* axis : kPlatterAxes) list.push_back(symbol + "_" + kOutputNames[row] + axis);
   return list;
 }
 
@@ -40,7 +42,7 @@ void add_rows(XmlElement& data, const Words& words, const std::function<ValueLis
   XmlElement list = data.add("dcc:list");
   list.attribute("refType", "abc_matrix3x3");
   for (std::size_t j = 0; j < 3; ++j)
-    add_list(list, words, words("row of accelerometer {}", kAccelerometers[j]), row(j));
+    add_list(list, words, words("row of accelerometer {}", kOutputNames[j]), row(j));
 }
 
 std::vector<Quantity> as_vector(const Triple& triple) {
@@ -58,19 +60,15 @@ Eigen::MatrixXd block(const Eigen::MatrixXd& covariance, Eigen::Index first) {
   return covariance.block(first, first, 3, 3);
 }
 
-/// Labels of the twelve outputs, or of the nine that do not depend on the mounting, with `s` for sensitivity.
-std::vector<std::string> output_labels(const std::string& s) {
+/// Labels of outputs, with `s` for sensitivity.
+std::vector<std::string> output_labels(std::span<const std::string_view> symbols, const std::string& s) {
   std::vector<std::string> all;
-  for (std::size_t j = 0; j < 3; ++j)
-    for (const std::string& label : row_labels(s, j)) all.push_back(label);
-  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
+  for (const std::string_view symbol : symbols)
+    all.push_back(symbol.starts_with("s_") ? s + std::string(symbol.substr(1)) : std::string(symbol));
   return all;
 }
-std::vector<std::string> intrinsic_labels(const std::string& s) {
-  std::vector<std::string> all = labels(s, kAccelerometers);
-  for (const std::string& label : labels("phi", kPairs)) all.push_back(label);
-  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
-  return all;
+std::vector<std::string> twelve_labels(const std::string& s) {
+  return output_labels(std::span(kOutputSymbols).first<12>(), s);
 }
 
 /// Quantities with their derivatives, from which their covariance is computed.
@@ -130,15 +128,15 @@ void add_si(XmlElement& results, const Words& words, const StatedResult& stated)
   add_values(
       results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
       marked(stated, "intrinsic_sensitivity",
-             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic))));
+             list_of(labels("s", kOutputNames), values_of(intrinsic), covariance_of(result, intrinsic))));
   const Eigen::MatrixXd nine = *result.covariance_intrinsic;
   add_values(results, words, "abc_intrinsicAngles",
              words("Intrinsic angles between the sensitive directions"),
              marked(stated, "intrinsic_angle",
-                    list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
-  add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
-             marked(stated, "offset",
-                    list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
+                    list_of(labels("phi", kOutputPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
+  add_values(
+      results, words, "abc_offsets", words("Zero-acceleration offsets"),
+      marked(stated, "offset", list_of(labels("O", kOutputNames), as_vector(result.offset), block(nine, 6))));
 }
 
 /// Results in the form of the analysis: change of the output for one g_loc. They do not include the
@@ -162,12 +160,12 @@ void add_per_gravity(XmlElement& results, const Words& words, const StatedResult
   add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
              words("Intrinsic sensitivities per local gravity"),
              marked(stated, "intrinsic_sensitivity",
-                    list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                    list_of(labels(s, kOutputNames), as_vector(result.intrinsic_sensitivity),
                             block(*result.covariance_intrinsic, 0))));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
   add_values(results, words, "abc_allOutputsPerGravity",
              words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
-             all_marked(stated, list_of(output_labels(s), twelve, *result.covariance)));
+             all_marked(stated, list_of(twelve_labels(s), twelve, *result.covariance)));
 }
 
 /// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
@@ -212,10 +210,10 @@ void add_correlations(XmlElement& results, const Words& words, const StatedResul
       results, "abc_correlations", words("Coefficients of correlation"),
       words("With the standard uncertainties U/k they give the covariance of all outputs together."));
   add_correlation(data, "abc_correlationOutputs", words("Sensitivity matrix row by row and offsets"),
-                  output_labels("s"), covariance_of_outputs(stated));
+                  twelve_labels("s"), covariance_of_outputs(stated));
   add_correlation(data, "abc_correlationIntrinsic",
-                  words("Intrinsic sensitivities, intrinsic angles and offsets"), intrinsic_labels("s"),
-                  covariance_of(result, nine));
+                  words("Intrinsic sensitivities, intrinsic angles and offsets"),
+                  output_labels(kIntrinsicSymbols, "s"), covariance_of(result, nine));
   if (equation)
     add_correlation(data, "abc_correlationEquation", words("Matrix M row by row and offsets b"),
                     equation_labels(), equation->covariance);
@@ -255,6 +253,15 @@ void add_derived_group(XmlElement& results, const Words& words, const StatedResu
                              "uncertainty, so that it has no direction."));
   const std::string& first = group.quantities.front().name;
   add_list(data, words, name, marked(stated, first.substr(0, first.rfind('_')), list_of(names, values)));
+}
+
+/// Outputs beyond those of the protocol; the annex of the page shows them.
+void add_further_outputs(XmlElement& results, const Words& words, const CalibrationResult& result) {
+  for (const auto& [about, found] : further_outputs(result)) {
+    std::vector<Quantity> values;
+    for (const auto& [name, quantity] : found) values.push_back(quantity);
+    add_values(results, words, ref_type_of(about.key), words(about.heading), list_of(about.symbols, values));
+  }
 }
 
 /// A tolerance limit in the SI unit of the decision, and as it is stated where that is another unit.
@@ -345,6 +352,7 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
   const std::optional<CustomerEquation> equation = customer_equation(stated);
   if (equation) add_customer_equation(results, words, *equation);
   add_per_gravity(results, words, stated);
+  add_further_outputs(results, words, stated.result);
   int unit = 0;
   for (const DerivedGroup& group : stated.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;

@@ -1,6 +1,7 @@
 #include "app/laboratory/certificate/dcc_text.h"
 
 #include "app/laboratory/certificate/dcc_xml.h"
+#include "protocol/uncertainty/budget.h"
 
 namespace abcal {
 namespace {
@@ -30,6 +31,15 @@ XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Word
   metadatum.attribute("refType", ref_type);
   add_words(metadatum, "dcc:name", name);
   return metadatum;
+}
+
+Wording source_words(const Words& words, const std::string& source) {
+  if (source == kThisRun) return words("the readings of this run");
+  if (source == "default") return words("a default that nobody stated");
+  if (source.empty()) return words("not stated");
+  // The readers of bench files enter these where a size has no source.
+  if (source == "stated" || source == "tolerances") return words(source);
+  return words.as_given(source);
 }
 
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name) {

@@ -17,6 +17,10 @@ void add_text(XmlElement& parent, const Wording& words);
 /// Adds a dcc:metaData with its name.
 XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Wording& name);
 
+/// Source of a size or of an input of the budget. Only the program's own words for it are translated; a
+/// source that a person wrote stays as it is.
+Wording source_words(const Words& words, const std::string& source);
+
 /// Adds an element with a name that belongs to no language.
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name);
 

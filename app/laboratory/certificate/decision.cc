@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "app/results/estimates/report_data.h"
+#include "drivers/text/names.h"
 #include "protocol/uncertainty/normal_probability.h"
 
 namespace abcal {
@@ -82,20 +83,15 @@ Decision decide_at(const DecisionRule& rule, const SpecificationLimit& limit, do
   return decision;
 }
 
+constexpr auto kConformities = names<Conformity>({{Conformity::kPass, "pass"},
+                                                  {Conformity::kConditionalPass, "conditionalPass"},
+                                                  {Conformity::kConditionalFail, "conditionalFail"},
+                                                  {Conformity::kFail, "fail"}});
+
 }  // namespace
 
 std::string_view to_string(Conformity conformity) {
-  switch (conformity) {
-    case Conformity::kPass:
-      return "pass";
-    case Conformity::kConditionalPass:
-      return "conditionalPass";
-    case Conformity::kConditionalFail:
-      return "conditionalFail";
-    case Conformity::kFail:
-      break;
-  }
-  return "fail";
+  return kConformities.of(conformity, "fail");
 }
 
 Wording describe(const DecisionRule& rule, const Words& words) {

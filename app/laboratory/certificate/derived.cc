@@ -128,7 +128,7 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
       "transverse_azimuth",
       "Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
       "from z towards x, of w from x towards y",
-      "degree", kAccelerometers,
+      "degree", kOutputNames,
       [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& size = transverse.quantities[j].value;
@@ -145,7 +145,7 @@ DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, c
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k) {
       group.quantities.push_back(
-          deriver.quantity(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k], unit,
+          deriver.quantity(std::string("sensitivity_") + kOutputNames[j] + kPlatterAxes[k], unit,
                            Real(deriver.inputs().s[j][k] * per)));
     }
   }
@@ -187,22 +187,22 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units", per_si(unit),
                                     one_per_gravity));
   groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units", per_si(unit),
-                                  kAccelerometers,
+                                  kOutputNames,
                                   [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
   groups.push_back(deriver.triple(
       "transverse_sensitivity",
       "Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
       "contains "
       "the mounting",
-      "%", kAccelerometers, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
+      "%", kOutputNames, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
   mend_zero(groups.back(), result, 100.0);
   groups.push_back(azimuth(deriver, groups.back()));
   groups.push_back(deriver.triple(
-      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kAccelerometers,
+      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kOutputNames,
       [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
   mend_zero(groups.back(), result, 1e3);
-  groups.push_back(deriver.triple("non_orthogonality", "Intrinsic angle minus 90 degrees", "mrad", kPairs,
-                                  [&](std::size_t j) {
+  groups.push_back(deriver.triple("non_orthogonality", "Intrinsic angle minus 90 degrees", "mrad",
+                                  kOutputPairs, [&](std::size_t j) {
                                     const std::size_t k = (j + 1) % 3;
                                     // asin would lose digits near 90 degrees of angle; the angle from a right
                                     // one is a ratio of these two.
@@ -210,8 +210,7 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                     return Real(-1e3 * atan2(cosine, sqrt(Real(1.0 - cosine * cosine))));
                                   }));
   groups.push_back(deriver.triple(
-      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg",
-      kAccelerometers,
+      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg", kOutputNames,
       [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
   for (const SensitivityUnit& wanted : units) {
     const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
@@ -219,7 +218,7 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                                                 ", g_n = 9.80665 m/s2 (standard gravity)"
                                                           : "Sensitivity in " + wanted.name;
     DerivedGroup group =
-        deriver.triple("intrinsic_sensitivity", words, wanted.name, kAccelerometers,
+        deriver.triple("intrinsic_sensitivity", words, wanted.name, kOutputNames,
                        [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity * factor); });
     group.name = "sensitivity [" + wanted.name + "]";
     groups.push_back(std::move(group));
@@ -239,14 +238,14 @@ double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, 
 
 std::vector<std::string> names_of_quantities() {
   std::vector<std::string> names;
-  for (const char* axis : kAccelerometers)
+  for (const char* axis : kOutputNames)
     for (const char* platter : kPlatterAxes) names.push_back(std::string("sensitivity_") + axis + platter);
   for (const std::string of_axis :
        {"intrinsic_sensitivity_", "offset_", "transverse_sensitivity_", "misalignment_", "bias_"}) {
-    for (const char* axis : kAccelerometers) names.push_back(of_axis + axis);
+    for (const char* axis : kOutputNames) names.push_back(of_axis + axis);
   }
   for (const std::string of_pair : {"intrinsic_angle_", "non_orthogonality_"})
-    for (const char* pair : kPairs) names.push_back(of_pair + pair);
+    for (const char* pair : kOutputPairs) names.push_back(of_pair + pair);
   return names;
 }
 

@@ -8,13 +8,9 @@
 
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/plan/limits.h"
+#include "protocol/quantities/output_names.h"
 
 namespace abcal {
-
-// Names of the accelerometers, of their pairs, and of the axes of the platter, in the order of a result.
-inline constexpr std::array<const char*, 3> kAccelerometers{"u", "v", "w"};
-inline constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
-inline constexpr std::array<const char*, 3> kPlatterAxes{"x", "y", "z"};
 
 /// One number that a customer may ask for, with its uncertainty by propagation of the twelve outputs and of
 /// local gravity to first order (JCGM 100), correlations included.

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <functional>
 
+#include "app/ground/document/number_text.h"
 #include "app/ground/units/dsi_unit.h"
 #include "app/results/estimates/report_data.h"
 #include "protocol/statistics/distributions.h"
@@ -168,8 +169,7 @@ RoundedValue rounded_value(double value, double expanded, std::string_view what)
     throw NumberNotFinite(fmt::format("uncertainty of {} is not a finite number", what));
   if (expanded < 0.0) throw std::invalid_argument(fmt::format("uncertainty of {} is negative", what));
   if (expanded == 0.0) return {dsi_number(value, what), "0", std::nullopt};
-  constexpr double kRoundedUp = 0.995;  // 9.95 and more are 10 in two digits
-  const int place = static_cast<int>(std::floor(std::log10(expanded / kRoundedUp))) - 1;
+  const int place = place_of_second_digit(expanded);
   RoundedValue rounded;
   rounded.place = place;
   const double larger = std::max(std::abs(value), expanded);

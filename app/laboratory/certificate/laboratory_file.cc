@@ -9,12 +9,17 @@
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/iso_codes.h"
 #include "app/laboratory/certificate/words.h"
+#include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
 
 /// Names of the rules as the file gives them.
-const std::vector<std::string> kRules{"simple", "guard_band", "non_binary", "test_uncertainty_ratio"};
+constexpr auto kRules =
+    names<DecisionKind>({{DecisionKind::kSimple, "simple"},
+                         {DecisionKind::kGuardBand, "guard_band"},
+                         {DecisionKind::kNonBinary, "non_binary"},
+                         {DecisionKind::kTestUncertaintyRatio, "test_uncertainty_ratio"}});
 
 void read_contact(TomlReader& keys, Contact& contact) {
   keys.required_text("name", contact.name);
@@ -130,11 +135,11 @@ void read_decision(TomlReader& keys, LaboratoryFile& file) {
   keys.section("decision");
   DecisionRule rule;
   std::string kind;
-  keys.text("rule", kind, kRules);
+  keys.text("rule", kind, kRules.all());
   keys.number("guard_factor", rule.guard_factor, {-1.0, 10.0});
   keys.text("agreement", rule.agreement);
   if (!kind.empty()) {
-    rule.kind = static_cast<DecisionKind>(std::find(kRules.begin(), kRules.end(), kind) - kRules.begin());
+    rule.kind = kRules.value(kind).value_or(rule.kind);
     if (rule.agreement.empty())
       keys.add_missing("agreement", "where the customer agreed to the rule before measuring");
     if (rule.kind == DecisionKind::kNonBinary && !(rule.guard_factor >= 0.0))
@@ -161,7 +166,7 @@ void read_decision(TomlReader& keys, LaboratoryFile& file) {
                        "both limits, for rule \"test_uncertainty_ratio\"");
   });
   if (!file.limits.empty() && !file.decision)
-    keys.add_problem("decision.rule", "nothing, though limits are given", "one of " + joined(kRules));
+    keys.add_problem("decision.rule", "nothing, though limits are given", "one of " + joined(kRules.all()));
 }
 
 void read_scope(TomlReader& keys, std::vector<ScopeLimit>& scope) {

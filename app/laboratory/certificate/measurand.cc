@@ -21,7 +21,7 @@ namespace {
 constexpr const char* kMountingRefType = "abc_mounting";
 
 std::string label_of(std::size_t row, std::size_t column) {
-  return fmt::format("M_{}{}", kPlatterAxes.at(row), kAccelerometers.at(column));
+  return fmt::format("M_{}{}", kPlatterAxes.at(row), kOutputNames.at(column));
 }
 
 /// "maker, model", in the words of the certificate.
@@ -101,7 +101,7 @@ Statement identity_statement(const Words& words, const ReportData& data) {
 std::vector<std::string> equation_labels() {
   std::vector<std::string> labels;
   for (std::size_t i = 0; i < 9; ++i) labels.push_back(label_of(i / 3, i % 3));
-  for (const char* output : kAccelerometers) labels.push_back(fmt::format("b_{}", output));
+  for (const char* output : kOutputNames) labels.push_back(fmt::format("b_{}", output));
   return labels;
 }
 
@@ -152,7 +152,7 @@ Section equation_section(const PageSource& from, xmlNode* measurement) {
   DocumentTable table;
   table.dense = true;
   table.columns = {{"", CellKind::kSymbol}};
-  for (const char* output : kAccelerometers) {
+  for (const char* output : kOutputNames) {
     table.columns.push_back({fmt::format("M_i{}", output), CellKind::kNumber});
     table.columns.push_back({"U", CellKind::kNumber});
   }

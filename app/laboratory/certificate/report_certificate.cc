@@ -80,6 +80,7 @@ std::string certificate_for_report(const ReportData& data, const CertificateFile
   if (!files.language.empty()) request.laboratory.file.language = files.language;
   request.run = data;
   request.as_found = std::move(as_found);
+  add_monte_carlo(request);
   request.series = std::move(series);
   request.draft = draft;
   return checked_xml(make_certificate(std::move(request)), &schema);

@@ -18,28 +18,43 @@ using NineFactors = Eigen::Matrix<double, 9, 1>;
 struct NamedOutput {
   std::string name;
   Quantity* quantity;
+  int output;  ///< As in study_output.h.
+};
+
+/// The uncertainties below which no statement goes.
+struct Least {
+  const Scope& scope;                       ///< That of the laboratory: CMC.
+  const CertifiedUncertainty* monte_carlo;  ///< Null: none.
 };
 
 std::vector<NamedOutput> twelve_outputs(CalibrationResult& result) {
   std::vector<NamedOutput> all;
   for (std::size_t j = 0; j < 3; ++j)
     for (std::size_t k = 0; k < 3; ++k)
-      all.push_back({std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k],
-                     &(*result.sensitivity_matrix)[j][k]});
+      all.push_back({std::string("sensitivity_") + kOutputNames[j] + kPlatterAxes[k],
+                     &(*result.sensitivity_matrix)[j][k], static_cast<int>(3 * j + k)});
   for (std::size_t j = 0; j < 3; ++j)
-    all.push_back({std::string("offset_") + kAccelerometers[j], &result.offset[j]});
+    all.push_back(
+        {std::string("offset_") + kOutputNames[j], &result.offset[j], kFirstOffset + static_cast<int>(j)});
   return all;
 }
 
 std::vector<NamedOutput> nine_outputs(CalibrationResult& result) {
   std::vector<NamedOutput> all;
-  for (std::size_t j = 0; j < 3; ++j)
-    all.push_back(
-        {std::string("intrinsic_sensitivity_") + kAccelerometers[j], &result.intrinsic_sensitivity[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    all.push_back({std::string("intrinsic_angle_") + kPairs[j], &result.intrinsic_angle[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    all.push_back({std::string("offset_") + kAccelerometers[j], &result.offset[j]});
+  for (int j = 0; j < 3; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    all.push_back({std::string("intrinsic_sensitivity_") + kOutputNames[at],
+                   &result.intrinsic_sensitivity[at], kFirstIntrinsicSensitivity + j});
+  }
+  for (int j = 0; j < 3; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    all.push_back({std::string("intrinsic_angle_") + kOutputPairs[at], &result.intrinsic_angle[at],
+                   kFirstIntrinsicAngle + j});
+  }
+  for (int j = 0; j < 3; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    all.push_back({std::string("offset_") + kOutputNames[at], &result.offset[at], kFirstOffset + j});
+  }
   return all;
 }
 
@@ -58,13 +73,16 @@ void set_uncertainty(Quantity& quantity, double u) {
 
 /// Raises outputs and their covariance. @return d of each
 template <class Matrix>
-std::vector<double> raise(const Scope& scope, const CalibrationResult& result,
+std::vector<double> raise(const Least& wanted, const CalibrationResult& result,
                           const std::vector<NamedOutput>& outputs, Matrix& covariance) {
   std::vector<double> factors;
   for (std::size_t n = 0; n < outputs.size(); ++n) {
     Quantity& quantity = *outputs[n].quantity;
-    const double u = quantity.standard_uncertainty,
-                 least = least_uncertainty(scope, result, outputs[n].name, quantity);
+    const double u = quantity.standard_uncertainty;
+    double least = least_uncertainty(wanted.scope, result, outputs[n].name, quantity);
+    if (wanted.monte_carlo != nullptr)
+      least = std::max(
+          least, wanted.monte_carlo->standard_uncertainty(outputs[n].output, coverage_factor(quantity)));
     factors.push_back(1.0);
     if (!(least > u)) continue;
     const auto i = static_cast<Eigen::Index>(n);
@@ -85,8 +103,17 @@ bool any_raised(const std::vector<double>& factors) {
 }
 
 /// Raises the result itself. @return factors of the nine intrinsic outputs beyond the raise of the twelve
-NineFactors raise_result(CalibrationResult& result, const Scope& scope) {
-  const bool changed = any_raised(raise(scope, result, twelve_outputs(result), *result.covariance));
+NineFactors raise_result(CalibrationResult& result, const Least& least) {
+  const std::vector<NamedOutput> twelve = twelve_outputs(result);
+  const bool by_monte_carlo = least.monte_carlo != nullptr && least.monte_carlo->any_larger();
+  if (by_monte_carlo) {
+    result.covariance = least.monte_carlo->covariance(*result.covariance);
+    for (std::size_t n = 0; n < twelve.size(); ++n) {
+      const auto i = static_cast<Eigen::Index>(n);
+      set_uncertainty(*twelve[n].quantity, std::sqrt((*result.covariance)(i, i)));
+    }
+  }
+  const bool changed = any_raised(raise(least, result, twelve, *result.covariance)) || by_monte_carlo;
   std::vector<NamedOutput> nine = nine_outputs(result);
   if (changed) {
     const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
@@ -96,7 +123,7 @@ NineFactors raise_result(CalibrationResult& result, const Scope& scope) {
       set_uncertainty(*nine[n].quantity, std::sqrt(std::max(0.0, (*result.covariance_intrinsic)(i, i))));
     }
   }
-  const std::vector<double> factors = raise(scope, result, nine, *result.covariance_intrinsic);
+  const std::vector<double> factors = raise(least, result, nine, *result.covariance_intrinsic);
   return Eigen::Map<const NineFactors>(factors.data());
 }
 
@@ -106,8 +133,8 @@ double factor_of_nine(const NineFactors& factors, const std::string& name) {
   const auto place = [&](const auto& names) {
     return static_cast<Eigen::Index>(std::find(names.begin(), names.end(), last) - names.begin());
   };
-  if (name.starts_with("intrinsic_sensitivity_")) return factors[place(kAccelerometers)];
-  if (name.starts_with("non_orthogonality_")) return factors[3 + place(kPairs)];
+  if (name.starts_with("intrinsic_sensitivity_")) return factors[place(kOutputNames)];
+  if (name.starts_with("non_orthogonality_")) return factors[3 + place(kOutputPairs)];
   return 1.0;
 }
 
@@ -135,7 +162,7 @@ void raise_derived(StatedResult& stated, const StatedResult& as_measured, const 
 
 void add_marks(StatedResult& stated, const StatedResult& as_measured, const Scope& scope) {
   std::vector<std::string> names = names_of_quantities();
-  for (const char* axis : kAccelerometers) names.push_back(std::string("transverse_azimuth_") + axis);
+  for (const char* axis : kOutputNames) names.push_back(std::string("transverse_azimuth_") + axis);
   constexpr double kRounding = 1e-9;
   for (const std::string& name : names) {
     const auto quantity = stated_quantity(stated, name), before = stated_quantity(as_measured, name);
@@ -156,13 +183,20 @@ ScopeMark StatedResult::mark(const std::string& name) const {
 }
 
 StatedResult stated_result(const CalibrationResult& result, const std::vector<SensitivityUnit>& units,
-                           const std::vector<ScopeLimit>& scope, bool accredited) {
-  StatedResult as_measured{result, derive(result, units), {}};
+                           const std::vector<ScopeLimit>& scope, bool accredited,
+                           const CertifiedUncertainty* monte_carlo) {
+  const StatedResult as_computed{result, derive(result, units), {}};
+  const auto raised = [&](const Scope& to) {
+    StatedResult stated{result, {}, {}};
+    const NineFactors factors = raise_result(stated.result, {to, monte_carlo});
+    stated.derived = derive(stated.result, units);
+    raise_derived(stated, as_computed, to, factors);
+    return stated;
+  };
+  const StatedResult as_measured =
+      monte_carlo != nullptr && monte_carlo->any_larger() ? raised({}) : as_computed;
   if (scope.empty() && !accredited) return as_measured;
-  StatedResult stated{result, {}, {}};
-  const NineFactors factors = raise_result(stated.result, scope);
-  stated.derived = derive(stated.result, units);
-  raise_derived(stated, as_measured, scope, factors);
+  StatedResult stated = raised(scope);
   add_marks(stated, as_measured, scope);
   return stated;
 }
@@ -186,8 +220,8 @@ std::optional<Quantity> stated_quantity(const StatedResult& stated, const std::s
     for (const DerivedQuantity& quantity : group.quantities)
       if (quantity.name == name && std::isfinite(quantity.value.value)) return quantity.value;
   for (std::size_t j = 0; j < 3; ++j) {
-    if (name == std::string("intrinsic_angle_") + kPairs[j]) return stated.result.intrinsic_angle[j];
-    if (name == std::string("offset_") + kAccelerometers[j]) return stated.result.offset[j];
+    if (name == std::string("intrinsic_angle_") + kOutputPairs[j]) return stated.result.intrinsic_angle[j];
+    if (name == std::string("offset_") + kOutputNames[j]) return stated.result.offset[j];
   }
   return std::nullopt;
 }

@@ -61,6 +61,24 @@ Statement traceability(const Certificate& certificate) {
   return statement;
 }
 
+/// Says whether the U of a result or that of its Monte Carlo is stated.
+void add_monte_carlo(std::vector<Statement>& statements, const Words& words, const CertifiedRun& run,
+                     const Wording& title) {
+  if (!run.monte_carlo) return;
+  const CertifiedUncertainty& made = *run.monte_carlo;
+  Statement statement = plain(
+      "abc_monteCarlo", title,
+      made.any_larger()
+          ? words("{} trials of the whole evaluation (seed {}) gave an expanded uncertainty of {} that is "
+                  "larger than the evaluated one; that of the trials and its covariance are stated.",
+                  made.trials, made.seed, made.larger())
+          : words("{} trials of the whole evaluation (seed {}) gave no larger expanded uncertainty; the "
+                  "evaluated one is stated.",
+                  made.trials, made.seed));
+  statement.norms = {"JCGM 101:2008"};
+  statements.push_back(statement);
+}
+
 /// Meaning of the stated uncertainties, with the coverage factor, and the sources that they exclude.
 void add_uncertainty(std::vector<Statement>& statements, const Certificate& certificate) {
   const Words& words = certificate.words;
@@ -73,6 +91,9 @@ void add_uncertainty(std::vector<Statement>& statements, const Certificate& cert
           "within the stated interval with a probability of approximately 95 %."));
   uncertainty.norms = {"JCGM 100:2008", "JCGM 102:2011", "EA-4/02 M: 2022"};
   statements.push_back(uncertainty);
+  add_monte_carlo(statements, words, certificate.run, words("Monte Carlo of the result"));
+  if (certificate.as_found)
+    add_monte_carlo(statements, words, *certificate.as_found, words("Monte Carlo of the result as found"));
   const ReportData& data = certificate.run.data;
   if (!data.budget || !certificate.run.has_numbers()) return;
   std::string left_out;

@@ -23,8 +23,8 @@ bool holds_on(const Equipment& equipment, Date day) {
 }
 
 std::string words_for(const Equipment& equipment) {
-  return fmt::format("{} {}, certificate {}, performed {}, due {}", equipment.name, equipment.serial_number,
-                     equipment.certificate,
+  return fmt::format("\"{} {}\", certificate \"{}\", performed {}, due {}", equipment.name,
+                     equipment.serial_number, equipment.certificate,
                      equipment.performed ? format_date(*equipment.performed) : "not stated",
                      equipment.due ? format_date(*equipment.due) : "not stated");
 }
@@ -54,9 +54,10 @@ void look_for(const Chain& chain, const LaboratoryFile& laboratory, Date day, co
        missing.empty()
            ? fmt::format("equipment for {} with a calibration that was performed before and holds on {}",
                          chain.quantity, date)
-           : fmt::format("equipment for {} with serial number {} and a calibration that was performed before "
-                         "and holds on {}",
-                         chain.quantity, missing, date)});
+           : fmt::format(
+                 "equipment for {} with serial number \"{}\" and a calibration that was performed before "
+                 "and holds on {}",
+                 chain.quantity, missing, date)});
 }
 
 /// Serial numbers that the instrument of a role reported; empty if it reported none.
@@ -167,7 +168,8 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
                    const std::string& where, std::vector<Problem>& problems) {
   const LocalGravity& g_loc = data.record.g_loc;
   if (g_loc.source.starts_with("formula")) {
-    problems.push_back({where, "by " + g_loc.source, "a survey: a formula has no calibration"});
+    problems.push_back(
+        {where, fmt::format("by \"{}\"", g_loc.source), "a survey: a formula has no calibration"});
     return;
   }
   const auto holds = [&](const Equipment& one) { return one.quantity == "gravity" && holds_on(one, day); };
@@ -199,8 +201,8 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
   problems.push_back(
       {where, g_loc.source.empty() ? "no source" : fmt::format("source \"{}\"", g_loc.source),
        fmt::format("[bench] g_loc_mps2 from a record of the register, or a g_loc_source that names the "
-                   "certificate of the equipment for gravity: {}",
-                   fmt::join(known, " / "))});
+                   "certificate of the equipment for gravity: \"{}\"",
+                   fmt::join(known, "\" / \""))});
 }
 
 }  // namespace
@@ -228,8 +230,8 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
                         "real ones, no [simulation] in the bench file, no serial number of the emulator: "
                         "nothing was calibrated"});
   if (!data.label("replay.of").empty())
-    problems.push_back(
-        {which, "repeated from the recording of " + data.label("replay.of"), "a measured run"});
+    problems.push_back({which, fmt::format("repeated from the recording of \"{}\"", data.label("replay.of")),
+                        "a measured run"});
   if (const auto day = parse_date(data.ended_utc())) {
     for (const Chain& chain : chains_of(data, which, problems))
       look_for(chain, laboratory, *day, which, problems);

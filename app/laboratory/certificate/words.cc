@@ -142,6 +142,34 @@ bool holds_sentences(const std::vector<std::string_view>& values, const Template
   return false;
 }
 
+/// A text whose quotations are taken out, each replaced by a mark without letters: a person wrote them, so no
+/// part of them is translated.
+struct Quotations {
+  std::string text;
+  std::vector<std::string> taken;
+
+  static std::string mark(std::size_t k) { return fmt::format("\x1f{}\x1f", k); }
+
+  explicit Quotations(std::string_view from) {
+    while (true) {
+      const std::size_t begin = from.find('"');
+      const std::size_t end = begin == std::string_view::npos ? begin : from.find('"', begin + 1);
+      if (end == std::string_view::npos) break;
+      text += fmt::format("{}\"{}\"", from.substr(0, begin), mark(taken.size()));
+      taken.emplace_back(from.substr(begin + 1, end - begin - 1));
+      from.remove_prefix(end + 1);
+    }
+    text += from;
+  }
+
+  std::string put_back(std::string into) const {
+    for (std::size_t k = 0; k < taken.size(); ++k)
+      if (const auto at = into.find(mark(k)); at != std::string::npos)
+        into.replace(at, mark(k).size(), taken[k]);
+    return into;
+  }
+};
+
 struct Translated {
   std::string text;
   bool is_complete = false;  ///< Every part was found.
@@ -152,10 +180,15 @@ struct Translator {
   const Table& table;
   const std::vector<Template>& templates;
   std::string decimal_mark;
+  const Quotations& quotations;  ///< Those of the whole text.
 
   /// One sentence of the table with its values, or a text that needs no translation; absent: neither.
   std::optional<std::string> sentence(std::string_view english) const {
     if (const auto found = table.find(std::string(english)); found != table.end()) return found->second;
+    // A sentence of the table may have a quotation of its own.
+    if (english.find('"') != std::string_view::npos)
+      if (const auto found = table.find(quotations.put_back(std::string(english))); found != table.end())
+        return found->second;
     for (const Template& made : templates) {
       const auto values = values_in(english, made);
       if (!values || holds_sentences(*values, made)) continue;
@@ -213,8 +246,10 @@ Wording Words::composed(std::string_view english) const {
 }
 
 Words::Translation Words::translated(std::string_view english) const {
-  Translated made = Translator{*table_, templates_of(language_), known(".")}.text(english);
-  return {std::move(made.text), made.is_complete};
+  const Quotations quotations(english);
+  const Translated made =
+      Translator{*table_, templates_of(language_), known("."), quotations}.text(quotations.text);
+  return {quotations.put_back(made.text), made.is_complete};
 }
 
 std::vector<std::string> Words::languages() {

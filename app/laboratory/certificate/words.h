@@ -34,10 +34,12 @@ class Words {
   Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
   /// A text that another part of the program composed in English: a verdict, a note, a problem. Sentences of
   /// the table are found with their values in them, also several joined by "; "; a part that the table lacks
-  /// stays unchanged, and then the text is marked as being in no language.
+  /// stays unchanged, and then the text is marked as being in no language. What stands in quotes is a
+  /// person's and stays unchanged: whoever composes a text puts names and other texts of persons in quotes.
   Wording composed(std::string_view english) const;
 
-  /// The sentence in the language; unchanged if the file does not have it.
+  /// A sentence or word of the program in the language; unchanged if the file does not have it. Never for a
+  /// text that a person may have written.
   std::string known(std::string_view english) const;
 
   /// Codes of the available languages: "en" and those with a file.

@@ -7,16 +7,12 @@
 #include <nlohmann/json.hpp>
 
 #include "app/ground/system/terminal.h"
+#include "app/results/estimates/result_text.h"
 
 namespace abcal {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-/// Decimals that show two digits of a standard deviation.
-int decimals_of(double s) {
-  return std::clamp(1 - static_cast<int>(std::floor(std::log10(s))), 0, 12);
-}
 
 std::string status(const ShownChart& chart, std::FILE* stream) {
   if (chart.blocked())
@@ -80,8 +76,8 @@ std::string chart_text(const ShownChart& chart, std::FILE* stream) {
   for (std::size_t i = 0; i < 9; ++i) {
     const auto at = static_cast<Eigen::Index>(i);
     const double centre = baseline.centre(at), s = baseline.standard_deviation(at);
-    const int decimals = decimals_of(s);
-    text += fmt::format("  {:<8}{:>18.{}f} {:>14.2g} {:>18.{}f} .. {:<18.{}f} {}\n", kIntrinsicNames[i],
+    const int decimals = std::max(0, decimals_for(s));
+    text += fmt::format("  {:<8}{:>18.{}f} {:>14.2g} {:>18.{}f} .. {:<18.{}f} {}\n", kIntrinsicSymbols[i],
                         centre, decimals, s, centre - baseline.rules.shewhart * s, decimals,
                         centre + baseline.rules.shewhart * s, decimals, units[i]);
   }
@@ -159,13 +155,13 @@ nlohmann::ordered_json chart_json(const ShownChart& chart) {
              {"added_by", point.added_by}, {"properties", Json::object()}};
     for (std::size_t i = 0; i < 9; ++i) {
       const JudgedValue& value = judged[k][i];
-      one["properties"][kIntrinsicNames[i]] = {{"value", point.value.values(static_cast<Eigen::Index>(i))},
-                                               {"z", value.z},
-                                               {"ewma", value.ewma},
-                                               {"cusum_high", value.cusum_high},
-                                               {"cusum_low", value.cusum_low},
-                                               {"outside", value.outside()},
-                                               {"broken", value.broken()}};
+      one["properties"][kIntrinsicSymbols[i]] = {{"value", point.value.values(static_cast<Eigen::Index>(i))},
+                                                 {"z", value.z},
+                                                 {"ewma", value.ewma},
+                                                 {"cusum_high", value.cusum_high},
+                                                 {"cusum_low", value.cusum_low},
+                                                 {"outside", value.outside()},
+                                                 {"broken", value.broken()}};
     }
     json["points"].push_back(std::move(one));
   }
@@ -226,7 +222,7 @@ std::string chart_script(const ShownChart& chart) {
         "lc rgb 'black', $average{0} using 1:2 with lines lc rgb 'orange', $outside{0} using 1:2 with points "
         "pt 7 "
         "lc rgb 'red'\n",
-        i, kIntrinsicNames[i], number + 1, -1.15 * largest, 1.15 * largest, limit, -limit, edge, -edge);
+        i, kIntrinsicSymbols[i], number + 1, -1.15 * largest, 1.15 * largest, limit, -limit, edge, -edge);
   }
   return script + "unset multiplot\n";
 }

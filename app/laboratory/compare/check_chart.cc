@@ -58,7 +58,7 @@ void add_scatter_problems(const CheckBaseline& baseline, std::vector<std::string
   const double limit = outlier_limit(static_cast<int>(baseline.runs.size()), kFalseOutliers / 9.0);
   const std::array<std::string, 9> units = baseline.units();
   for (Eigen::Index i = 0; i < 9; ++i) {
-    const char* name = kIntrinsicNames[static_cast<std::size_t>(i)];
+    const std::string_view name = kIntrinsicSymbols[static_cast<std::size_t>(i)];
     const double s = baseline.standard_deviation(i);
     if (!(s > 0.0) || !std::isfinite(s)) {
       problems.push_back(fmt::format("{}: does not scatter at all (standard deviation {} {})", name, s,
@@ -165,7 +165,7 @@ CheckBaseline make_baseline(std::vector<CheckRun> runs, double run_length) {
 
 std::string values_json(const IntrinsicValues& values) {
   Json json = Json::object();
-  for (std::size_t i = 0; i < 9; ++i) json[kIntrinsicNames[i]] = values(static_cast<Eigen::Index>(i));
+  for (std::size_t i = 0; i < 9; ++i) json[kIntrinsicSymbols[i]] = values(static_cast<Eigen::Index>(i));
   return json.dump();
 }
 
@@ -174,7 +174,7 @@ namespace {
 IntrinsicValues values_of(const nlohmann::json& json) {
   IntrinsicValues values;
   for (std::size_t i = 0; i < 9; ++i)
-    values(static_cast<Eigen::Index>(i)) = json.at(kIntrinsicNames[i]).get<double>();
+    values(static_cast<Eigen::Index>(i)) = json.at(kIntrinsicSymbols[i]).get<double>();
   return values;
 }
 
@@ -269,8 +269,8 @@ std::string outside_words(const JudgedPoint& point) {
   std::vector<std::string> words;
   for (std::size_t i = 0; i < 9; ++i) {
     if (point[i].outside())
-      words.push_back(fmt::format("{} {:+.1f} standard deviations from the baseline ({})", kIntrinsicNames[i],
-                                  point[i].z, point[i].broken()));
+      words.push_back(fmt::format("{} {:+.1f} standard deviations from the baseline ({})",
+                                  kIntrinsicSymbols[i], point[i].z, point[i].broken()));
   }
   return fmt::format("{}", fmt::join(words, "; "));
 }

@@ -67,7 +67,7 @@ inline constexpr double kUsualRunLength = 200.0;
 
 /// Centre, standard deviation and limits of a baseline.
 /// @param run_length  check runs between two false alarms, at least, for nine baselines of ten
-/// @throws CheckChartError too few runs, runs that do not belong together or stand twice, a doubtful result,
+/// @throws CheckChartError too few runs, runs that do not belong together or occur twice, a doubtful result,
 /// an
 ///         outlier (Grubbs, 1 % for all properties together), a property that does not scatter at all
 CheckBaseline make_baseline(std::vector<CheckRun> runs, double run_length);

@@ -24,9 +24,9 @@ Json result_of(const ComparedResult& result, const std::array<std::string, 9>& u
   Json properties;
   for (std::size_t i = 0; i < 9; ++i) {
     const auto at = static_cast<Eigen::Index>(i);
-    properties[kIntrinsicNames[i]] = {{"value", result.values(at)},
-                                      {"standard_uncertainty", std::sqrt(result.covariance(at, at))},
-                                      {"unit", units[i]}};
+    properties[kIntrinsicSymbols[i]] = {{"value", result.values(at)},
+                                        {"standard_uncertainty", std::sqrt(result.covariance(at, at))},
+                                        {"unit", units[i]}};
   }
   return {{"file", result.file},
           {"kind", result.kind},
@@ -65,11 +65,11 @@ Json pair_of(const PairComparison& pair, const ResultsComparison& comparison) {
   Json properties;
   for (std::size_t i = 0; i < 9; ++i) {
     const PropertyDifference& p = pair.intrinsic.properties[i];
-    properties[kIntrinsicNames[i]] = {{"difference", p.difference},
-                                      {"standard_uncertainty", p.standard_uncertainty},
-                                      {"unit", comparison.units[i]},
-                                      {"zeta", p.zeta},
-                                      {"e_n", p.e_n}};
+    properties[kIntrinsicSymbols[i]] = {{"difference", p.difference},
+                                        {"standard_uncertainty", p.standard_uncertainty},
+                                        {"unit", comparison.units[i]},
+                                        {"zeta", p.zeta},
+                                        {"e_n", p.e_n}};
   }
   Json json{{"first", comparison.results[pair.first].file},
             {"second", comparison.results[pair.second].file},
@@ -181,7 +181,7 @@ nlohmann::ordered_json compare_json(const ResultsComparison& comparison) {
     }
     Json properties;
     for (std::size_t i = 0; i < 9; ++i)
-      properties[kIntrinsicNames[i]] = series_of((*comparison.series)[i], comparison.units[i]);
+      properties[kIntrinsicSymbols[i]] = series_of((*comparison.series)[i], comparison.units[i]);
     json["several"] = {{"order", std::move(order)},
                        {"groups", std::move(groups)},
                        {"properties", std::move(properties)},

@@ -201,7 +201,7 @@ std::string reason(const PairComparison& pair, const std::string& first, const s
   std::vector<std::string> beyond;
   for (std::size_t i = 0; i < 9; ++i) {
     const double e_n = found.properties[i].e_n;
-    if (std::abs(e_n) > 1.0) beyond.push_back(fmt::format("{} (E_n {:+.2f})", kIntrinsicNames[i], e_n));
+    if (std::abs(e_n) > 1.0) beyond.push_back(fmt::format("{} (E_n {:+.2f})", kIntrinsicSymbols[i], e_n));
   }
   std::string words = fmt::format(
       "P = {:.2g} that chance gives differences as large in {} properties together; required: at least {}",
@@ -326,7 +326,7 @@ struct PropertyCovariances {
 
 /// The largest variances that two results may have in common. On one stage it is the type B part: as --shared
 /// computes it if both are records of the published protocol, else all of the smaller one (of a certificate,
-/// which does not say which part is type A, all of its uncertainty). Otherwise what is known.
+/// which does not state its type A part, all of its uncertainty). Otherwise what is known.
 IntrinsicValues largest_common(const ComparedResult& first, const ComparedResult& second,
                                const IntrinsicValues& known) {
   if (on_same_stage(first, second) != SameStage::kYes || !known.isZero(0.0)) return known;
@@ -459,7 +459,7 @@ void note_formulas(const std::vector<ComparedResult>& results, std::vector<std::
           result.file));
 }
 
-/// Compares each result with the first, or with the first that is no outlier.
+/// Compares each result with the first, or with the first that is not an outlier.
 void compare_pairs(ResultsComparison& comparison) {
   std::size_t reference = 0;
   while (comparison.consistency && std::ranges::find(comparison.consistency->outliers, reference) !=

@@ -46,7 +46,7 @@ struct ResultsComparison {
   std::vector<ComparedResult> results;  ///< In the given order, in common units.
   std::array<std::string, 9> units;
   bool shared_subtracted = false;
-  /// Each of the others against the first; where that is an outlier, against the first that is none.
+  /// Each of the others against the first; if that is an outlier, against the first result that is not one.
   std::vector<PairComparison> pairs;
   /// All results of one item together, of the properties that all of them give. Absent for two results, for
   /// items of one run, for more than kMostConsistent, and where no property is given by all.

@@ -9,6 +9,7 @@
 #include "app/ground/system/terminal.h"
 #include "app/ground/system/text_layout.h"
 #include "app/results/estimates/result_text.h"
+#include "drivers/text/letters.h"
 
 namespace abcal {
 namespace {
@@ -91,7 +92,7 @@ void verdicts(const ResultsComparison& comparison, std::FILE* stream, std::strin
             outlier_lines(comparison);
   }
   for (const PairComparison& pair : comparison.pairs) {
-    // With several results the pairs are no verdict, but for what no test of numbers shows.
+    // With several results the pairs give no verdict, except on handedness, which no test of numbers shows.
     if (comparison.consistency && (!pair.rotation || pair.rotation->same_handedness)) continue;
     text += verdict_lines(fmt::format("{} and {}", pair.first + 1, pair.second + 1), pair.agrees(), pair.why,
                           stream);
@@ -105,7 +106,7 @@ void pair_table(const ResultsComparison& comparison, const PairComparison& pair,
                       std::to_string(pair.second + 1), "difference", "zeta", "E_n", "unit");
   for (std::size_t i = 0; i < 9; ++i) {
     const PropertyDifference& p = pair.intrinsic.properties[i];
-    text += fmt::format("  {:<7} {:>26} {:>26}", kIntrinsicNames[i], property_of(first, i),
+    text += fmt::format("  {:<7} {:>26} {:>26}", kIntrinsicSymbols[i], property_of(first, i),
                         property_of(second, i));
     if (std::isfinite(p.e_n)) {
       text += fmt::format(" {:>26} {:>+7.2f} {:>+7.2f}  {}\n", with_u(p.difference, p.standard_uncertainty),
@@ -136,9 +137,8 @@ void mounting(const ResultsComparison& comparison, const PairComparison& pair, s
   }
   text += fmt::format("  difference of the matrices after turning {} back ({})\n", pair.second + 1,
                       comparison.units.front());
-  constexpr std::string_view kRows = "uvw";
   for (int j = 0; j < 3; ++j) {
-    text += fmt::format("    {} ", kRows[static_cast<std::size_t>(j)]);
+    text += fmt::format("    {} ", kOutputNames[j]);
     for (int k = 0; k < 3; ++k) {
       text += fmt::format(" {:>26}",
                           with_u(rotation.residual(j, k), rotation.residual_standard_uncertainty(j, k)));
@@ -158,13 +158,13 @@ void spread_table(const ResultsComparison& comparison, std::FILE* stream, std::s
   for (std::size_t i = 0; i < 9; ++i) {
     const PropertySeries& series = (*comparison.series)[i];
     if (!series.individuals) {
-      text += fmt::format("  {:<7} {:>28}\n", kIntrinsicNames[i], "not given by all");
+      text += fmt::format("  {:<7} {:>28}\n", kIntrinsicSymbols[i], "not given by all");
     } else if (const auto& s = series.spread) {
-      text += fmt::format("  {:<7} {:>28} {:>11} {:>11} {:>11} {:>9.2g}  {}\n", kIntrinsicNames[i],
+      text += fmt::format("  {:<7} {:>28} {:>11} {:>11} {:>11} {:>9.2g}  {}\n", kIntrinsicSymbols[i],
                           with_u(s->mean, s->mean_standard_uncertainty), digits(s->standard_deviation),
                           digits(s->within), digits(s->between), s->chi2_probability, comparison.units[i]);
     } else {
-      text += fmt::format("  {:<7} {:>28.9g} {:>11} {:>11} {:>11} {:>9}  {}\n", kIntrinsicNames[i],
+      text += fmt::format("  {:<7} {:>28.9g} {:>11} {:>11} {:>11} {:>9}  {}\n", kIntrinsicSymbols[i],
                           series.individuals->centre, digits(series.individuals->standard_deviation), "-",
                           "-", "-", comparison.units[i]);
     }
@@ -184,7 +184,7 @@ void random_effects_table(const ResultsComparison& comparison, std::FILE* stream
     for (std::size_t k = 0; k < r->normalised_error.size(); ++k)
       errors +=
           fmt::format("{}{}: {:+.2f}", k == 0 ? "" : ", ", comparison.order[k] + 1, r->normalised_error[k]);
-    text += fmt::format("  {:<7} {:>28} {:>11}  {:<10} {}\n", kIntrinsicNames[i],
+    text += fmt::format("  {:<7} {:>28} {:>11}  {:<10} {}\n", kIntrinsicSymbols[i],
                         with_u(r->mean, r->standard_uncertainty), digits(r->between), comparison.units[i],
                         errors);
   }
@@ -208,7 +208,7 @@ void anova_table(const ResultsComparison& comparison, std::FILE* stream, std::st
   for (std::size_t i = 0; i < 9; ++i) {
     const auto& a = (*comparison.series)[i].anova;
     if (!a) continue;
-    text += fmt::format("  {:<7} {:>28} {:>13} {:>13} {:>15} {:>9.3g} {:>9.2g}  {}\n", kIntrinsicNames[i],
+    text += fmt::format("  {:<7} {:>28} {:>13} {:>13} {:>15} {:>9.3g} {:>9.2g}  {}\n", kIntrinsicSymbols[i],
                         with_u(a->mean, a->mean_standard_uncertainty), digits(a->repeatability),
                         digits(a->between), digits(a->reproducibility), a->f, a->f_probability,
                         comparison.units[i]);
@@ -228,20 +228,17 @@ void chart_table(const ResultsComparison& comparison, std::FILE* stream, std::st
   text += heading(stream, "Control charts (limits: three standard deviations)");
   std::vector<std::string> numbers;
   for (const std::size_t i : comparison.order) numbers.push_back(std::to_string(i + 1));
-  const auto line = [&](const char* name, const char* kind, const ControlChart& chart,
+  const auto line = [&](std::string_view name, const char* kind, const ControlChart& chart,
                         const std::vector<std::string>& names, const std::string& unit) {
     const ChartPoint& last = chart.points.back();
-    const int decimals =
-        chart.standard_deviation > 0.0
-            ? std::max(0, 1 - static_cast<int>(std::floor(std::log10(chart.standard_deviation))))
-            : 9;
+    const int decimals = std::max(0, decimals_for(chart.standard_deviation));
     text += fmt::format("  {:<7} {:<7} {:>15.{}f} .. {:>15.{}f}  {:<10} {}\n", name, kind, last.lower,
                         decimals, last.upper, decimals, unit, points_outside(chart, names));
   };
   for (std::size_t i = 0; i < 9; ++i) {
     const PropertySeries& series = (*comparison.series)[i];
     if (series.individuals)
-      line(kIntrinsicNames[i], "single", *series.individuals, numbers, comparison.units[i]);
+      line(kIntrinsicSymbols[i], "single", *series.individuals, numbers, comparison.units[i]);
     if (series.means) line("", "x-bar", *series.means, comparison.group_names, comparison.units[i]);
     if (series.ewma) line("", "EWMA", *series.ewma, numbers, comparison.units[i]);
   }

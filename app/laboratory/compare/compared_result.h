@@ -48,8 +48,8 @@ struct ComparedResult {
   std::optional<Eigen::Matrix3d> matrix;  ///< Absent for the norm estimator.
   Covariance12 output_covariance;         ///< For matrix and offset; valid only if `matrix` is present.
   std::optional<RunRecord> record;        ///< Record that it was computed from; absent for a certificate.
-  /// The run that it comes from, and the number of its item, from 1; null for a certificate. Two results of
-  /// one run have the same run.
+  /// Its run, and the number of its item, from 1; null for a certificate. Two results of one run have the
+  /// same run.
   std::shared_ptr<const AnalysedRun> run;
   int item_of_run = 1;
   std::vector<std::string> notes;

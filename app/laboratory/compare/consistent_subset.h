@@ -16,7 +16,7 @@ struct ConsistencyTest {
 /// The largest subset of results that agree with one another (M. G. Cox, Metrologia 44, 187, 2007).
 struct ConsistentSubset {
   ConsistencyTest all;
-  /// Whether more than half of the results agree. If not, there are no outliers: nobody knows which are
+  /// Whether more than half of the results agree. If not, there are no outliers: it is unknown which are
   /// right.
   bool found = false;
   std::vector<std::size_t> outliers;  ///< Those that are not in the subset, in ascending order.

@@ -20,7 +20,7 @@ struct RandomEffectsMean {
 
 /// The results that make the mean, and what they may have in common.
 struct MeanOptions {
-  std::vector<std::size_t> left_out;  ///< Positions of results that are no part of the mean.
+  std::vector<std::size_t> left_out;  ///< Positions of results that are not part of the mean.
   /// The covariance with the largest part that the results may have in common; empty: as `covariance`. The
   /// uncertainty of the mean is that which it gives, so that what may be common is not averaged down.
   Eigen::MatrixXd largest_covariance;

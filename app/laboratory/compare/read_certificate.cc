@@ -40,12 +40,16 @@ struct Numbers {
   std::vector<CovarianceList> covariances;
 };
 
-const std::array<std::string, 12> kOutputLabels{"s_ux", "s_uy", "s_uz", "s_vx", "s_vy", "s_vz",
-                                                "s_wx", "s_wy", "s_wz", "O_u",  "O_v",  "O_w"};
+/// Labels of the twelve outputs.
+const std::array<std::string, 12> kOutputLabels = [] {
+  std::array<std::string, 12> labels;
+  std::copy_n(kOutputSymbols.begin(), labels.size(), labels.begin());
+  return labels;
+}();
 
 bool is_of_accelerometer(const std::string& label) {
   return std::find(kOutputLabels.begin(), kOutputLabels.end(), label) != kOutputLabels.end() ||
-         std::find(kIntrinsicNames.begin(), kIntrinsicNames.end(), label) != kIntrinsicNames.end();
+         std::find(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), label) != kIntrinsicSymbols.end();
 }
 
 /// Reads lists of numbers and keeps every problem.
@@ -214,7 +218,7 @@ void read_correlations(const XmlQuery& certificate, xmlNode* measurement, Number
   }
 }
 
-/// Covariance of these labels from one list that holds all of them; nothing if no list does.
+/// Covariance of these labels from one list that holds all of them; nullopt if no list does.
 template <std::size_t N>
 std::optional<Eigen::MatrixXd> covariance_of(const Numbers& numbers,
                                              const std::array<std::string, N>& labels) {
@@ -256,7 +260,7 @@ Eigen::MatrixXd pieced_covariance(const Numbers& numbers, const std::array<std::
 
 std::array<std::string, 9> intrinsic_labels() {
   std::array<std::string, 9> labels;
-  std::copy(kIntrinsicNames.begin(), kIntrinsicNames.end(), labels.begin());
+  std::copy(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), labels.begin());
   return labels;
 }
 
@@ -332,7 +336,7 @@ void fill_values(const Numbers& numbers, ComparedResult& result) {
     } else if (!std::isfinite(result.values(i))) {
       result.values(i) = from_matrix(i);
       result.notes.push_back(
-          fmt::format("{} was computed from the matrix", kIntrinsicNames[static_cast<std::size_t>(i)]));
+          fmt::format("{} was computed from the matrix", kIntrinsicSymbols[static_cast<std::size_t>(i)]));
     }
   }
   result.covariance = covariance;
@@ -356,8 +360,8 @@ void fill_identity(const XmlQuery& certificate, ComparedResult& result) {
   result.what = certificate.text(core + "dcc:uniqueIdentifier");
 }
 
-/// The stage as it identified itself to the program that measured. Certificates of others do not say which
-/// equipment the stage is.
+/// The stage as it identified itself to the program that measured. Certificates of other programs do not
+/// state which equipment is the stage.
 void fill_stage(const XmlQuery& certificate, xmlNode* measurement, ComparedResult& result) {
   constexpr const char* kStage =
       "(dcc:measuringEquipments | ../dcc:measuringEquipments)"
@@ -399,7 +403,7 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
                              ": XML, but not a digital calibration certificate (root element of "
                              "https://ptb.de/dcc required)");
   fill_identity(certificate, result);
-  // The results over temperature of our certificates are no calibration of the nine properties.
+  // The results over temperature of our certificates are not a calibration of the nine properties.
   const std::vector<xmlNode*> measurements = certificate.nodes(
       "dcc:measurementResults/dcc:measurementResult[.//si:labelXMLList]"
       "[not(@refType = 'abc_temperatureSeries')]");

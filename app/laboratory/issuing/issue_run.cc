@@ -242,7 +242,7 @@ void take_number(Registered& registered, Certificate& certificate, const Clock& 
 }
 
 /// With a register, an approver signs with a key of their own that the register knows.
-/// @param from  where the certificate of the key comes from, for messages
+/// @param from  source of the certificate of the key, for messages
 void require_own_key(Registered& registered, const std::string& certificate_pem, const std::string& from,
                      Clock::UtcTime now) {
   const CertificateSubject subject = subject_of(certificate_pem);
@@ -287,7 +287,7 @@ EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
   EvidenceOfRuns of_all;
   for (const std::string& run : runs) {
     if (!RunFile::looks_like_run_file(run) || !RunFile::is_closed(run))
-      continue;  // make_certificate() says so.
+      continue;  // make_certificate() reports it.
     const RunEvidence evidence = judge_run(run, trust, opened);
     const std::string missing = opened == nullptr ? "" : missing_witness(evidence, *opened);
     for (const IntegrityCheck& check : evidence.checks)
@@ -319,6 +319,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   request.run = gather_report(asked.run, now, asked.item);
   if (!asked.certificate.as_found.empty())
     request.as_found = gather_same_item("--as-found", asked.certificate.as_found, request.run, now);
+  add_monte_carlo(request);
   request.series = gather_series(asked.certificate.temperature, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
   request.issue->witnessing = evidence.witnessing;

@@ -25,10 +25,10 @@ struct IssueAsked {
   std::string amendment;         ///< "administrative" or "technical"; empty: `replaces` is empty.
   /// XML file of the replaced certificate if it is of another run; empty: it is kept with this run.
   std::string replaced_xml;
-  /// Called before the number is taken with every statement that an amendment changes; empty: nobody is told.
+  /// Called before the number is taken with every statement that an amendment changes; empty: not called.
   std::function<void(const std::vector<ChangedStatement>&)> tell_changes;
   /// Statement of the approver for a run that was not witnessed although the register requires it: why it is
-  /// certified all the same. Printed on the certificate. Empty: such a run is refused.
+  /// certified nevertheless. Printed on the certificate. Empty: such a run is refused.
   std::string not_witnessed;
   std::string key, key_certificate;  ///< PEM files of the approver; empty: not signed.
   CertificateFiles certificate;
@@ -53,7 +53,7 @@ struct IssueOutcome {
 /// Issues the certificate of a complete run: checks it, takes its number from the register, keeps it with the
 /// run, and registers it. Every issue, from the command line or the console, uses this function.
 /// @param registered  null: no register
-/// @param clock  tells the date of issue; an entry of the register has the time at which it is written
+/// @param clock  gives the date of issue; an entry of the register has the time at which it is written
 /// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument;
 /// std::runtime_error with all that judge_run() finds against the run
 IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, const Clock& clock);
@@ -66,8 +66,8 @@ struct AwaitedSignature {
   std::vector<std::string> warnings;
 };
 
-/// The first half of issue_run(): all that comes before the signature, so that the approver's private key
-/// need not be on this computer. If nothing follows, the next certificate of the run has the same number.
+/// The first half of issue_run(): everything before the signature, so that the approver's private key need
+/// not be on this computer. If nothing follows, the next certificate of the run has the same number.
 /// @throws as issue_run()
 AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, const Clock& clock);
 

@@ -28,8 +28,9 @@ struct RunEvidence {
 /// Name of the check that fails for a run without the witness that a register requires.
 inline constexpr const char* kWitnessRequired = "witness required";
 
-/// Why a run does not have the witness that a register requires; empty: it has it, or the register holds no
-/// key of a bench. A training register accepts a run with simulated time whose witness says so.
+/// Why a run does not have the witness that a register requires; empty if it has one, or if the register
+/// holds no key of a bench. A training register accepts a run whose witness states that its time is
+/// simulated.
 std::string missing_witness(const RunEvidence& evidence, lab::Register& opened);
 
 /// The keys of the benches of a register.

@@ -20,7 +20,8 @@ namespace {
 
 constexpr std::size_t kDateSize = 10;  // "2026-03-01"
 
-/// Whether equipment is the instrument of these serial numbers. One that has none may be any.
+/// Whether equipment is the instrument of these serial numbers. An instrument without a serial number may be
+/// any.
 bool is_instrument(const Equipment& equipment, const std::string& serial_numbers) {
   if (serial_numbers.empty() || equipment.serial_number == serial_numbers) return true;
   const std::vector<std::string> parts = single_serial_numbers(serial_numbers);

@@ -13,26 +13,26 @@ namespace abcal {
 
 /// The records that a run rests on: calibrations of its stage and voltmeter by their serial numbers, those
 /// that local gravity and the sizes of effects name as their sources, and all for other quantities, since no
-/// run says which thermometer stood in the room. Equipment of another stage or voltmeter is left out.
+/// run records which thermometer was in the room. Equipment of another stage or voltmeter is left out.
 /// @param equipment  with the calibrations that held when the run began
 std::vector<lab::UsedSource> sources_of(const StoredRun& run, const std::vector<Equipment>& equipment);
 
-/// A closed run as the register is told of it. @param equipment  as for sources_of()
+/// A closed run as it is reported to the register. @param equipment  as for sources_of()
 lab::RunRecord run_record_of(const std::filesystem::path& path, const std::string& sha256,
                              const StoredRun& run, const std::vector<Equipment>& equipment);
 
-/// Tells the register that ABCAL_REGISTER names of a run that has ended, with what it rests on.
-/// @return what a person has to know: that the register was not told, and why
+/// Reports a run that has ended, with what it rests on, to the register that ABCAL_REGISTER names.
+/// @return messages for a person: why the run was not reported to the register
 std::vector<std::string> tell_register(const EndedRun& run, const std::string& login);
 
-/// To whom a certificate was issued, and the hashes of its runs, as its XML says.
+/// The customer of a certificate and the hashes of its runs, from its XML.
 struct CertificateFacts {
   lab::Addressee addressee;
   std::vector<std::string> run_sha256s;
 };
 CertificateFacts certificate_facts(const std::string& name, const std::string& xml);
 
-/// Tells the register of runs that ended before it kept what runs rest on, and of their certificates.
+/// Reports to the register runs that ended before it kept what runs rest on, and their certificates.
 struct ToldRun {
   bool is_new = false;                    ///< The register did not know all of it.
   std::size_t sources = 0;                ///< How many records the run rests on.

@@ -33,7 +33,7 @@ std::string state_of(const Words& words, const lab::CertificateRecord& record) {
   return record.state == "replaced" ? words("amended").text : words("issued").text;
 }
 
-/// A sentence that says which record was withdrawn, when and why.
+/// A sentence on which record was withdrawn, when and why.
 Section withdrawn_section(const Words& words, const std::vector<lab::Withdrawal>& withdrawn) {
   Section section{words("What was withdrawn").text, {}};
   for (const lab::Withdrawal& one : withdrawn) {

@@ -16,7 +16,7 @@ struct Letter {
 };
 
 /// Letters about a withdrawal, one a customer, in the language of the customer's last certificate. They are
-/// drafts, and say so on every page: nothing sends them.
+/// drafts, which is printed on every page: the program does not send them.
 struct WithdrawalLetters {
   std::vector<Letter> letters;
   std::vector<std::string> without_customer;  ///< Numbers of certificates whose customer is not known.
@@ -24,7 +24,7 @@ struct WithdrawalLetters {
 
 /// @param affected  by what was withdrawn
 /// @param date  of the letters, "2026-03-01"
-/// @throws std::invalid_argument  if nothing of it was withdrawn
+/// @throws std::invalid_argument  if none of it was withdrawn
 WithdrawalLetters withdrawal_letters(const lab::Affected& affected, const std::string& laboratory,
                                      const std::string& date);
 

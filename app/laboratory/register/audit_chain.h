@@ -7,7 +7,7 @@
 #include "app/laboratory/register/records.h"
 
 // Rules of the audit, for those that write it and those that check it: each entry is chained to the one
-// before, and its time is not before that one's, unless an entry says that the clock was set back.
+// before, and its time is not before that one's, unless an entry records that the clock was set back.
 
 namespace abcal::lab {
 
@@ -42,7 +42,7 @@ std::string chain_of(const std::string& previous, const AuditEntry& entry);
 RegisterFinding check_audit_chain(const std::vector<AuditEntry>& entries, const AuditHead& head,
                                   std::map<std::string, std::string>& last);
 
-/// Whether time runs backwards without an entry that says so; names these entries.
+/// Whether time runs backwards without an entry that records it; names these entries.
 RegisterFinding check_audit_times(const std::vector<AuditEntry>& entries);
 
 }  // namespace abcal::lab

@@ -176,7 +176,7 @@ Database make_empty(const std::string& location) {
 namespace {
 
 /// Begins a transaction of SQLite that may write. SQLite's own waiting prefers latecomers, which retry more
-/// often: under load one program may wait for ever. Here all retry equally often.
+/// often: under load one program may never get its turn. Here all retry equally often.
 void begin_immediate(Database& database) {
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(kPatienceS);
   database.execute("pragma busy_timeout=0");

@@ -7,7 +7,7 @@
 
 namespace abcal::lab {
 
-/// Where the register is: as given, else as the environment variable ABCAL_REGISTER says; empty: none is
+/// Where the register is: as given, otherwise from the environment variable ABCAL_REGISTER; empty: none is
 /// configured.
 std::string register_location(const std::string& given);
 

@@ -14,10 +14,9 @@ struct NamedCertificate {
   std::string xml_sha256;  ///< Hash of its bytes, signature included.
 };
 
-/// Evidence outside the database of a register. The register cannot have forgotten or changed it
-/// since, whoever wrote the database.
+/// Evidence outside the database of a register. It is independent of later changes of the database.
 struct RegisterEvidence {
-  std::string name;               ///< File, and what of it, for messages.
+  std::string name;               ///< The file and the entry in it, for messages.
   std::string register_identity;  ///< Empty: not stated (a certificate of a version before 1.1).
   /// Head that it names. On paper the SHA-256 is cut to its first digits.
   std::optional<AuditHead> head;
@@ -26,7 +25,7 @@ struct RegisterEvidence {
 };
 
 /// The evidence of a backup (`abcal lab backup`).
-/// @throws RegisterError if the text is no backup, or its own audit is not whole
+/// @throws RegisterError if the text is not a backup, or its own audit is not whole
 RegisterEvidence evidence_of_backup(const std::string& name, const std::string& text);
 
 }  // namespace abcal::lab

@@ -168,13 +168,13 @@ inline constexpr const char* kCertificateKind = "certificate";
 /// A run as the register knows it, with all that it rests on.
 struct RunRecord {
   std::string run_sha256;
-  std::string file;  ///< Path when the register was told of it.
+  std::string file;  ///< Path when it was reported to the register.
   std::string item;  ///< Maker, model and serial number; of several items, each.
   std::string date;  ///< UTC date of its end.
   std::vector<UsedSource> sources;
 };
 
-/// To whom a certificate was issued, as the certificate says.
+/// The customer named on a certificate.
 struct Addressee {
   std::string name, address, email;
   std::string language;  ///< Language of the certificate, ISO 639-1.
@@ -189,7 +189,7 @@ struct Withdrawal {
   std::string date() const { return utc.substr(0, 10); }
 };
 
-/// State of a certificate, which says whether it may be relied on.
+/// State of a certificate, which shows whether it may be relied on.
 struct CertificateStatus {
   CertificateRecord record;
   bool training = false;
@@ -212,7 +212,7 @@ struct CertificateStatus {
 /// A certificate of a run that rests on a record.
 struct AffectedCertificate {
   CertificateRecord record;
-  std::optional<Addressee> addressee;  ///< Absent: the register was not told of it.
+  std::optional<Addressee> addressee;  ///< Absent: it was not reported to the register.
 };
 
 /// Everything that rests on a record.
@@ -221,7 +221,7 @@ struct Affected {
   std::vector<Withdrawal> withdrawn;              ///< Withdrawals of the records in question.
   std::vector<RunRecord> runs;                    ///< By date, with the sources in question only.
   std::vector<AffectedCertificate> certificates;  ///< By number.
-  /// Numbers of certificates of runs whose sources the register does not know: it cannot say whether these
+  /// Numbers of certificates of runs whose sources the register does not know: it is unknown whether these
   /// are affected.
   std::vector<std::string> unknown;
 };

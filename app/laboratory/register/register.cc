@@ -1,6 +1,7 @@
 #include "app/laboratory/register/register.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
@@ -11,6 +12,7 @@
 
 #include "app/ground/system/version.h"
 #include "app/laboratory/register/register_schema.h"
+#include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 
@@ -39,30 +41,23 @@ std::string to_json(const TableDescription& table, const Database::Row& row) {
   return json.dump();
 }
 
+constexpr auto kRights = names<Right>({{Right::kMeasure, "measure"},
+                                       {Right::kOperate, "operate"},
+                                       {Right::kApprove, "approve"},
+                                       {Right::kAdminister, "administer"}});
+
 }  // namespace
 
 std::string_view to_string(Right right) {
-  switch (right) {
-    case Right::kMeasure:
-      return "measure";
-    case Right::kOperate:
-      return "operate";
-    case Right::kApprove:
-      return "approve";
-    case Right::kAdminister:
-      return "administer";
-  }
-  return "unknown";
+  return kRights.of(right, "unknown");
 }
 
 std::string all_rights() {
-  return "measure, operate, approve, administer";
+  return fmt::format("{}", fmt::join(kRights.all(), ", "));
 }
 
 std::optional<Right> right_from(std::string_view word) {
-  for (const Right right : {Right::kMeasure, Right::kOperate, Right::kApprove, Right::kAdminister})
-    if (to_string(right) == word) return right;
-  return std::nullopt;
+  return kRights.value(word);
 }
 
 bool Person::may(Right right) const {

@@ -65,7 +65,7 @@ struct ReservedNumber {
 
 /// Asks a witness to sign a head of the audit: numbers of entries only grow, and each has one hash. The
 /// register asks for its newest head while it is locked, so that heads are asked for in their order.
-/// @return nothing: the witness does not answer
+/// @return nullopt if the witness does not answer
 /// @throws RegisterError with the words of the witness if it refuses, since it has signed a later head or
 /// another one of this entry: the register was copied back
 using HeadWitness =
@@ -165,7 +165,7 @@ class Register {
   std::vector<CertificateRecord> certificates();
   std::vector<CertificateRecord> certificates_of(const std::string& run_sha256);
 
-  /// The certificate of a number; nothing if the register did not give it.
+  /// The certificate of a number; nullopt if the register did not give it.
   std::optional<CertificateStatus> status_of(const std::string& number);
 
   // ---- What runs rest on, and what was withdrawn
@@ -198,10 +198,10 @@ class Register {
   /// Whether the audit is complete, its times are in order, every row agrees with it, and every number was
   /// given once. A register that was copied back or rebuilt is consistent: compare_with() finds it.
   std::vector<RegisterFinding> verify();
-  /// Whether the register still has what a certificate or backup says of it: its entries, and the certificate
-  /// under its number.
+  /// Whether the register still has what a certificate or backup states of it: its entries, and the
+  /// certificate under its number.
   std::vector<RegisterFinding> compare_with(const RegisterEvidence& evidence);
-  /// The part of compare_with() about the audit; nothing if the evidence names no entry.
+  /// The part of compare_with() about the audit; nullopt if the evidence names no entry.
   std::optional<RegisterFinding> compare_audit_with(const RegisterEvidence& evidence);
   /// From now on this witness signs the heads of the audit when a number is given and when a certificate is
   /// issued: before, so that nothing is written if it refuses, and after. Empty: none does.
@@ -230,7 +230,7 @@ class Register {
   };
   /// Within a transaction: `write` changes the row, and the audit gets the row before and after.
   void change(const Change& change, Clock::UtcTime now, const std::function<void()>& write);
-  /// Appends an entry, and before it one that says that the clock was set back, if it was.
+  /// Appends an entry, and before it one that records that the clock was set back, if it was.
   void append_audit(const Change& change, const std::string& before, const std::string& after,
                     Clock::UtcTime now);
   /// Hashes or checks a password; the entry that follows counts the time this takes.

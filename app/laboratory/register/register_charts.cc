@@ -3,10 +3,10 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 
 #include "app/laboratory/register/register.h"
+#include "drivers/text/number.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::lab {
@@ -278,12 +278,9 @@ void Register::retire_scope(const LoggedIn& by, const std::string& identity, con
 std::vector<ScopeEntry> Register::scope() {
   std::vector<ScopeEntry> list;
   const auto number = [&](const std::string& text) {
-    double value = 0.0;
-    const char* end = text.data() + text.size();
-    if (const auto read = std::from_chars(text.data(), end, value); read.ec != std::errc{} || read.ptr != end)
-      throw RegisterError(fmt::format("register {}: its scope has the number \"{}\"; it is damaged",
-                                      without_password(location()), text));
-    return value;
+    if (const auto value = pieces::number<double>(text)) return *value;
+    throw RegisterError(fmt::format("register {}: its scope has the number \"{}\"; it is damaged",
+                                    without_password(location()), text));
   };
   for (const auto& row : database_.query(
            9,

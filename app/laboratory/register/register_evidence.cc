@@ -19,8 +19,8 @@ std::string words_of(const AuditEntry& entry) {
   return fmt::format("\"{}\" of {} by {} at {}", entry.what, entry.subject, entry.who, entry.utc);
 }
 
-/// Whether two entries record the same act, though one of them may have been altered: an act that another one
-/// took the place of has another time and other contents.
+/// Whether two entries record the same act, though one of them may have been altered: an act that was
+/// replaced has another time and other contents.
 bool is_same_act(const AuditEntry& a, const AuditEntry& b) {
   return a.utc == b.utc || (a.who == b.who && a.what == b.what && a.subject == b.subject &&
                             a.before_json == b.before_json && a.after_json == b.after_json);

@@ -1,7 +1,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cstdint>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -9,6 +8,7 @@
 #include "app/ground/system/output.h"
 #include "app/laboratory/register/register.h"
 #include "app/laboratory/register/register_schema.h"
+#include "drivers/text/number.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::lab {
@@ -28,11 +28,7 @@ bool is_secret(std::string_view column) {
 /// Whether a spreadsheet would carry a cell out as a formula. A number begins with a sign as well.
 bool begins_as_formula(const std::string& text) {
   if (text.empty() || std::string_view("=+-@\t").find(text.front()) == std::string_view::npos) return false;
-  const std::size_t sign = text.front() == '+' ? 1 : 0;  // from_chars() takes no plus.
-  double number = 0.0;
-  const char* const end = text.data() + text.size();
-  const auto [read, error] = std::from_chars(text.data() + sign, end, number);
-  return error != std::errc() || read != end;
+  return !pieces::number<double>(std::string_view(text).substr(text.front() == '+' ? 1 : 0));
 }
 
 /// A cell of CSV that a terminal, an editor and a spreadsheet show as it is: a formula becomes text by an
@@ -78,11 +74,8 @@ std::string text_of(const nlohmann::json& row, std::string_view table, const std
 }
 
 std::int64_t number_of_entry(const std::string& text) {
-  std::int64_t number = 0;
-  const char* end = text.data() + text.size();
-  if (text.empty() || std::from_chars(text.data(), end, number).ptr != end || number < 1)
-    throw RegisterError(fmt::format("the backup has \"{}\" as the number of an entry; it is damaged", text));
-  return number;
+  if (const auto number = pieces::number<std::int64_t>(text); number && *number >= 1) return *number;
+  throw RegisterError(fmt::format("the backup has \"{}\" as the number of an entry; it is damaged", text));
 }
 
 void insert_rows(Database& database, const TableDescription& table, const nlohmann::json& rows) {

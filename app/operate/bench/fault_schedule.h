@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// The fault as one of the wire or of the world, with times counted from `start`; nothing if it is the other.
+/// The fault as one of the wire or of the world, with times counted from `start`; nullopt if it is the other.
 std::optional<sim::WireFault> wire_fault(const FaultConfig& fault, Clock::Instant start);
 std::optional<sim::WorldFault> world_fault(const FaultConfig& fault, Clock::Instant start);
 

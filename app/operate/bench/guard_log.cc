@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "app/ground/document/json_text.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -55,7 +56,7 @@ void GuardLog::add(std::string_view what, Clock::UtcTime utc, Json json) {
   json["guard"] = ::getpid();
   {
     const std::lock_guard lock(mutex_);
-    lines_.push_back(json.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+    lines_.push_back(json_text(json) + "\n");
   }
   changed_.notify_all();
 }
@@ -95,8 +96,7 @@ bool is_running_guard(pid_t process) {
   std::string text;
   std::getline(file, text);
   const std::size_t end = text.find("(abcal-guard) ");
-  constexpr std::size_t kState =
-      14;  // After the name. Z: it has ended, and nobody has asked for its end yet.
+  constexpr std::size_t kState = 14;  // After the name. Z: ended, with its exit code not yet collected.
   return end != std::string::npos && text.size() > end + kState && text[end + kState] != 'Z';
 }
 

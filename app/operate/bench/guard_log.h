@@ -14,7 +14,7 @@
 
 namespace abcal {
 
-/// The log of the guards of a user: one JSON object a line, which says who moved what and when, what was
+/// The log of the guards of a user: one JSON object per line, which records who moved what and when, what was
 /// halted, and which program died. A thread of its own writes, so that a disk that hangs delays no halt;
 /// another waits for the disk, so that an entry outlives this process as soon as it is written.
 class GuardLog {
@@ -49,8 +49,8 @@ class GuardLog {
 };
 
 /// The end of the latest session in a log that did not end in order, in words for a person: who moved the
-/// bench, and how it was halted, or that an axis was moving when program and guard ended together. Nothing
-/// where the latest one ended in order, still goes on, or there is no log.
+/// bench, and how it was halted, or that an axis was moving when program and guard ended together. Nullopt if
+/// the latest one ended in order or is still open, or if there is no log.
 /// @param owner  only sessions whose owner's words contain this; empty: all
 std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner);
 

@@ -16,7 +16,7 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostDescriptors = 2;
 
-/// Room for the descriptors that may come with a packet.
+/// Room for the descriptors that may arrive with a packet.
 struct Ancillary {
   alignas(cmsghdr) std::array<char, CMSG_SPACE(kMostDescriptors * sizeof(int))> bytes{};
 };

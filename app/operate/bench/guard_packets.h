@@ -42,7 +42,7 @@ inline constexpr const char* kHalted = "halted";    ///< The result of the first
 /// too.
 namespace axis_state {
 inline constexpr const char* kNotMoved = "not moved";  ///< Nothing was commanded.
-inline constexpr const char* kAtRest = "at rest";      ///< Its controller has said so.
+inline constexpr const char* kAtRest = "at rest";      ///< Its controller has confirmed it.
 inline constexpr const char* kMayMove =
     "may be moving";  ///< Commanded to move, or a halt is not confirmed yet.
 inline constexpr const char* kUnreachable =
@@ -60,8 +60,8 @@ struct GuardPacket {
 /// Never waits. @return false: the other end is gone, or its queue is full
 bool send_guard_packet(int socket, const nlohmann::json& json, const std::vector<int>& descriptors = {});
 
-/// Waits for the next packet. @return nothing at the end of the connection
-/// @throws nlohmann::json::exception for bytes that are no packet
+/// Waits for the next packet. @return nullopt at the end of the connection
+/// @throws nlohmann::json::exception for malformed packets
 std::optional<GuardPacket> receive_guard_packet(int socket);
 
 /// A port that the guard opens.

@@ -26,11 +26,11 @@ using namespace std::chrono_literals;
 
 /// Between two looks at beats and threads.
 constexpr int kTickMs = 20;
-/// The guard itself stood still for this time: nobody watched.
+/// If the guard itself was suspended for this time, nothing was watched.
 constexpr Clock::Duration kFrozen = 1s;
 constexpr int kMostClients = 8;
 
-/// The parent of a process: whoever started it, and once that is dead, a process of the system. 0: unknown.
+/// The parent of a process: the one that started it, or after its end a process of the system. 0: unknown.
 pid_t parent_of(const std::string& process) {
   std::ifstream file(fmt::format("/proc/{}/stat", process));
   std::string text;
@@ -41,7 +41,7 @@ pid_t parent_of(const std::string& process) {
   return parent;
 }
 
-/// Whether a guard whose program has died holds a port: it lets go of it once the axes are at rest. The
+/// Whether a guard whose program has died holds a port, which it releases once the axes are at rest. The
 /// socket of a guard (HaltGuard) is named after the program that started it.
 /// @param folder  of these sockets
 bool is_held_after_death(const wire::PortHeld& held, const std::filesystem::path& folder) {
@@ -141,7 +141,7 @@ bool GuardService::tick() {
   return true;
 }
 
-/// After a freeze of the guard (a container, the computer in suspension) nobody has watched the axes.
+/// During a freeze of the guard (a container, the computer in suspension) the axes were not watched.
 void GuardService::check_time() {
   const Clock::Duration now = options_.uptime();
   const Clock::Duration gap = now - uptime_.load();
@@ -152,7 +152,8 @@ void GuardService::check_time() {
 }
 
 void GuardService::check_beat() {
-  // On a busy machine this thread may have stood still since poll(): a beat that came meanwhile counts first.
+  // On a busy machine this thread may have been suspended since poll(): a beat that arrived meanwhile counts
+  // first.
   for (pollfd more{.fd = options_.socket, .events = POLLIN, .revents = 0};
        owner_alive_ && !ended_in_order_ && ::poll(&more, 1, 0) == 1;)
     receive_from_owner();
@@ -178,7 +179,7 @@ void GuardService::check_beat() {
 }
 
 /// Drops the owner's side of every port and halts the axes; with `chambers` leaves chambers as their policy
-/// says.
+/// states.
 void GuardService::halt(const std::string& why, bool chambers) {
   halted_because_ = why;
   for (const auto& [name, connection] : connections_) {
@@ -207,7 +208,7 @@ void GuardService::receive_from_owner() {
       return;
     }
   } catch (const Json::exception& error) {
-    print_log("abcal-guard: a packet that is none: {}\n", error.what());
+    print_log("abcal-guard: malformed packet ignored: {}\n", error.what());
     return;
   }
   owner_alive_ = false;
@@ -244,7 +245,7 @@ void GuardService::handle(GuardPacket packet) {
   } else if (kind == to_guard::kEnd) {
     if (may_move()) halt(owner_ + " has ended while an axis was moving", false);
     ended_in_order_ = is_all_done();
-    if (!ended_in_order_) {  // It goes on until the halt is confirmed, as after the owner's death.
+    if (!ended_in_order_) {  // It continues until the halt is confirmed, as after the owner's death.
       owner_alive_ = false;
       log(GuardLog::kDied, owner_ + " has ended before the halt was confirmed");
     }
@@ -305,7 +306,7 @@ GuardedConnection& GuardService::connection(const std::string& name) {
     for (const int descriptor : descriptors) ::close(descriptor);
   };
   listener.failed = [this, name](const std::exception& why) { report_failure(name, why); };
-  // `found` stands in a node of the map, which does not move, and is set before the first port is opened.
+  // `found` is in a node of the map, which does not move, and is set before the first port is opened.
   listener.lost = [this, name, &found](const std::string& why) {
     const GuardedConnection::Status status = found->status();
     bool moves = false;

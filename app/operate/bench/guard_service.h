@@ -25,7 +25,7 @@ namespace abcal {
 struct GuardLimits {
   /// Without a beat for this time, while an axis may be moving, the axes are halted.
   Clock::Duration beat = std::chrono::seconds(1);
-  /// Without a beat for this time a chamber is left as its policy says.
+  /// Without a beat for this time a chamber is left as its policy states.
   Clock::Duration chamber_beat = std::chrono::seconds(60);
   /// Between two beats to the owner.
   Clock::Duration own_beat = std::chrono::milliseconds(100);
@@ -34,8 +34,8 @@ struct GuardLimits {
 };
 
 /// The guard itself, in a process of its own: opens the ports of a stage and a chamber for the program that
-/// moves them (its owner), passes the bytes on, and halts the axes if the owner dies, hangs, or is asked to
-/// stop by somebody else. Serves one owner.
+/// moves them (its owner), passes the bytes on, and halts the axes if the owner dies, hangs, or another
+/// program asks it to stop. Serves one owner.
 class GuardService {
  public:
   struct Options {

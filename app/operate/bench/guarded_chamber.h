@@ -10,9 +10,9 @@
 
 namespace abcal {
 
-/// A chamber on a port that a guard has opened. Before its first set point the guard learns how to leave it
-/// as its policy says, if this program dies or gives no sign of life for a minute. The guard holds the lease
-/// of the chamber once that has identified itself.
+/// A chamber on a port that a guard has opened. Before its first set point the guard receives the recipe that
+/// leaves it as its policy states, if this program dies or gives no sign of life for a minute. The guard
+/// holds the lease of the chamber once that has identified itself.
 class GuardedChamber final : public ThermalChamber {
  public:
   /// @param port  InstrumentPort::name

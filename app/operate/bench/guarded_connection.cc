@@ -41,7 +41,7 @@ std::optional<wire::PortInfo> find_again(const wire::PortInfo& device) {
   for (wire::PortInfo& port : wire::list_ports()) {
     const bool is_same = port.usb_vendor == device.usb_vendor && port.usb_product == device.usb_product &&
                          port.serial_number == device.serial_number;
-    // Without a serial number only the place tells two devices of one kind apart.
+    // Without a serial number only the place distinguishes two devices of one kind.
     if (is_same && (!device.serial_number.empty() || port.path == device.path)) return std::move(port);
   }
   return std::nullopt;
@@ -194,7 +194,7 @@ void GuardedConnection::pass_to_owner(std::string_view bytes) {
     pollfd ready{.fd = -1, .events = POLLOUT, .revents = 0};
     {
       const std::lock_guard lock(mutex_);
-      if (owner_ < 0 || !status_.is_done()) return;  // Nobody reads: the halt comes first.
+      if (owner_ < 0 || !status_.is_done()) return;  // The owner's side is closed: the halt has priority.
       ready.fd = owner_;
       const ssize_t written = ::send(owner_, bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
       if (written > 0) {

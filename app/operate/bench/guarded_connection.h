@@ -38,7 +38,7 @@ class GuardedConnection {
   struct Status {
     State state = State::kClosed;
     Clock::UtcTime since;
-    std::array<bool, 2> axes{};  ///< Axes behind the port, by index(StageAxis), as its recipes say.
+    std::array<bool, 2> axes{};  ///< Axes behind the port, by index(StageAxis), from its recipes.
     std::string chamber;         ///< The action on a chamber behind the port, in words; empty: none.
     std::string detail;          ///< Why the port cannot be opened.
 

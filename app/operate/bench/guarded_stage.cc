@@ -11,7 +11,7 @@
 namespace abcal {
 namespace {
 
-/// The guard closes the port first and then says why.
+/// The guard closes the port first and then reports why.
 constexpr std::chrono::milliseconds kNewsTime{500};
 
 }  // namespace
@@ -82,8 +82,8 @@ Angle GuardedStage::encoder_angle(StageAxis axis) {
   return guarded([&] { return stage_->encoder_angle(axis); });
 }
 
-/// By the driver, over the guard; an axis that does not acknowledge is halted by the guard, which goes on
-/// until the controller confirms it.
+/// By the driver, over the guard; an axis that does not acknowledge is halted by the guard, which repeats
+/// this until the controller confirms it.
 HaltReport GuardedStage::halt_axes() noexcept {
   HaltReport report = stage_->halt_axes();
   bool is_acknowledged = true;

@@ -12,7 +12,7 @@
 
 namespace abcal {
 
-/// Kind of the events that say whether a guard stands behind a stage.
+/// Kind of the events that report whether a stage has a guard.
 inline constexpr std::string_view kGuardEvent = "guard";
 
 /// A stage on one port that a guard has opened. The guard knows how to halt it before it moves, and which

@@ -226,8 +226,8 @@ void HaltGuard::lease(const std::string& name, std::vector<std::string> resource
     throw_failure(answer->json, answer->json.value("instrument", name));
 }
 
-/// Asks for something about a port. An answer without members: the guard has ended.
-/// @return nothing: it does not answer in time
+/// Asks the guard about a port. An answer without members: the guard has ended.
+/// @return nullopt if it does not answer in time
 std::optional<GuardPacket> HaltGuard::answer_to(const std::string& name, const Json& question,
                                                 std::chrono::seconds longest) {
   const auto promise = std::make_shared<std::promise<GuardPacket>>();
@@ -286,7 +286,7 @@ void HaltGuard::beat(std::string_view awaits) noexcept {
     if (!alive_ || moving_thread_ != std::this_thread::get_id()) return;
     if (clock_.now() - beat_sent_ < kBeatInterval) return;
     (void)send_beat_locked(awaits);
-  } catch (const std::exception&) {  // Memory is short: the guard halts if this goes on.
+  } catch (const std::exception&) {  // Memory is short: the guard halts if this continues.
   }
 }
 
@@ -374,7 +374,8 @@ void HaltGuard::watch(const std::stop_token& stop) {
   constexpr int kTickMs = 50;
   Clock::Instant last_tick = clock_.now();
   while (!stop.stop_requested()) {
-    // This program stood still itself: the guard may have, too, and has its whole time from now on.
+    // This program itself was suspended; so may the guard have been, which therefore has its whole time from
+    // now on.
     const Clock::Instant tick = clock_.now();
     if (tick - std::exchange(last_tick, tick) > kSilent / 2) {
       const std::lock_guard lock(mutex_);
@@ -387,10 +388,10 @@ void HaltGuard::watch(const std::stop_token& stop) {
       try {
         if (auto packet = receive_guard_packet(socket_)) {
           receive(*std::move(packet));
-          continue;  // All that it has said counts, before its silence does.
+          continue;  // All received packets count before its silence does.
         }
       } catch (const Json::exception& error) {
-        print_warning(fmt::format("guard: a packet that is none: {}", error.what()));
+        print_warning(fmt::format("guard: malformed packet ignored: {}", error.what()));
         continue;
       }
     }
@@ -402,8 +403,8 @@ void HaltGuard::watch(const std::stop_token& stop) {
       is_silent = moves && clock_.now() - heard_ > kSilent;
     }
     if (!is_dead && !is_silent) continue;
-    // On a busy machine this thread may have stood still since poll(): a packet that came meanwhile counts
-    // first.
+    // On a busy machine this thread may have been suspended since poll(): a packet that arrived meanwhile
+    // counts first.
     if (!is_dead && ::poll(waiting.data(), 1, 0) == 1) continue;
     note_silence(is_dead ? "the guard of the stage has died" : "the guard of the stage does not answer");
     return;

@@ -40,7 +40,7 @@ class HaltGuard {
   /// @param who  moves the bench, for the guard's log and for programs that find a port in use: "a run by A.
   /// B."
   HaltGuard(const std::string& who, const std::string& bench);
-  /// The stage is at rest: the guard lets go of the ports and ends, which is waited for.
+  /// The stage is at rest: waits until the guard has released the ports and ended.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
   HaltGuard& operator=(const HaltGuard&) = delete;
@@ -58,14 +58,14 @@ class HaltGuard {
   /// @throws wire::PortHeld with the words of the holder; InstrumentError kLinkLost: there is no guard
   void lease(const std::string& name, std::vector<std::string> resources);
 
-  /// Tells the guard how to halt what is on a port, before it moves.
+  /// Gives the guard the recipes to halt what is on a port, before it moves.
   /// @throws InstrumentError kLinkLost: there is no guard, and nothing may move
   void hold(const std::string& name, std::vector<HaltRecipe> recipes);
 
   /// An axis is about to be commanded to move, by this thread, which beats from now on.
   /// @throws InstrumentError kStalled after a halt by the guard, kLinkLost: there is no guard
   void begin_motion(StageAxis axis);
-  /// The controller has said that an axis stands still.
+  /// The controller has reported standstill of an axis.
   void end_motion(StageAxis axis);
   /// A chamber has a set point of this run.
   void drive_chamber();
@@ -75,17 +75,17 @@ class HaltGuard {
   /// @param awaits  the event that it waits for, in words
   void beat(std::string_view awaits) noexcept;
 
-  /// Has the guard halt the axes, and waits for the result of its first attempt; the guard goes on trying.
+  /// Has the guard halt the axes, and waits for the result of its first attempt; the guard continues to try.
   /// Its ports are closed for this program then.
   HaltReport halt(const std::string& why) noexcept;
 
-  /// Why the guard, or this end in its place, has halted the axes; empty: it has not since the last open().
+  /// Why the guard, or this end in its place, has halted the axes; empty if it has not since the last open().
   /// @param longest_wait  for news of it, after a port was closed by the guard
   std::string halted_because(Clock::Duration longest_wait = {}) const;
 
   /// Who moves which bench, in words: "a run on the bench \"left\" (process 4711)".
   const std::string& owner() const { return owner_; }
-  /// The end of the session before on this bench, if it did not end in order, in words; empty otherwise.
+  /// The end of the previous session on this bench, if it did not end in order, in words; empty otherwise.
   std::string last_incident() const;
   pid_t process() const;
 

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// The resources (wire::Lease) that stand for an instrument on any port: one for each serial number that it
+/// The resources (wire::Lease) that represent an instrument on any port: one for each serial number that it
 /// reports. Empty without a serial number, and for an emulated instrument, whose number is that of every
 /// emulator.
 std::vector<std::string> resources_of_instrument(const std::string& driver, const std::string& maker,

@@ -156,7 +156,7 @@ class Opener {
                                             limits);
     }
     if (const auto* by_hand = driver_called(manual_stage_drivers(), config_.stage.driver)) {
-      end_orderly_at_signals();  // The person is told that the stage did not halt.
+      end_orderly_at_signals();  // A message reports that the stage did not halt.
       if (streams_.replay)
         throw std::invalid_argument("a stage turned by hand has no bytes: typed angles are not recorded");
       return std::make_unique<MountedStage>(
@@ -243,7 +243,7 @@ class Opener {
   }
 
   std::unique_ptr<ThermalChamber> chamber() {
-    end_orderly_at_signals();  // So that a real chamber is left as its policy says.
+    end_orderly_at_signals();  // A real chamber must be left as its policy states.
     if (const auto* by_hand = driver_called(manual_chamber_drivers(), config_.chamber.driver))
       return chamber_at_terminal(*by_hand, config_.chamber);
     const ChamberDriver& driver = find_driver(chamber_drivers(), config_.chamber.driver);
@@ -344,7 +344,7 @@ class Opener {
   };
   std::mutex halt_mutex_;
   std::map<std::string, HaltPort, std::less<>>
-      halt_ports_;  ///< By InstrumentPort::name; not those of the guard.
+      halt_ports_;  ///< By InstrumentPort::name; without those of the guard.
   bool has_guarded_ports_ = false;
 };
 

@@ -62,9 +62,9 @@ struct BenchStreams {
   std::string owner{};
 };
 
-/// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
-/// `simulated_clock`, if given, is the clock if everything is simulated, instead of one that jumps.
-/// With several items, one whose port cannot be opened is missing; at least one is open.
+/// Opens the instruments of a bench file. Only here do real, simulated and replayed instruments differ.
+/// `simulated_clock`, if given, is the clock if everything is simulated, instead of one that jumps. With
+/// several items, one whose port cannot be opened is missing; at least one is open.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
                  std::unique_ptr<Clock> simulated_clock = nullptr);

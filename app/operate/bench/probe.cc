@@ -86,8 +86,8 @@ bool same(const SerialDefaults& a, const SerialDefaults& b) {
   return a.baud == b.baud && a.rts_cts == b.rts_cts;
 }
 
-/// Whether an error means that the instrument belongs to another driver: it was silent, or its answer is not
-/// that of this driver's instrument.
+/// Whether an error means that the instrument belongs to another driver: it was silent, or did not answer as
+/// this driver's instrument does.
 bool is_another_instrument(const InstrumentError& error) {
   return error.fault() != Fault::kCannotOpen && error.fault() != Fault::kLinkLost;
 }

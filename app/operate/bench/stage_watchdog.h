@@ -26,8 +26,8 @@ class MotionWatch {
   void forget() { moving_ = {}; }
 
   /// To be called regularly, before overdue(). A pause of more than half the patience between two calls shows
-  /// that this program stood still, as in a frozen container, and could hear nothing: silence counts from the
-  /// end of the pause on. (The guard halts a stage whose program stands still.)
+  /// that this program was suspended, as in a frozen container, and could receive nothing: silence counts
+  /// from the end of the pause on. (The guard halts a stage whose program is suspended.)
   void look(Clock::Instant now);
 
   /// Whether it may be moving and has not answered for longer than the patience.

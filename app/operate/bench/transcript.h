@@ -19,8 +19,8 @@ namespace abcal {
 /// bench.
 class Transcript {
  public:
-  /// @param stop  its request is marked by a row: from then on two threads write to the stage, in an order
-  /// that is left to chance
+  /// @param stop  its request is marked by a row: from then on two threads write to the stage, in an
+  /// unpredictable order
   explicit Transcript(std::stop_token stop) : stop_(std::move(stop)) {}
 
   /// For make_bench().

@@ -4,6 +4,8 @@
 #include <cctype>
 #include <regex>
 
+#include "drivers/text/names.h"
+
 namespace abcal {
 namespace {
 
@@ -63,24 +65,17 @@ std::vector<ComparedExchange> exchanges_of(const WireLog& log) {
   return exchanges;
 }
 
+constexpr auto kLikenesses = names<Likeness>({{Likeness::kEqual, "equal"},
+                                              {Likeness::kNumbersDiffer, "numbers differ"},
+                                              {Likeness::kSameLength, "same length"},
+                                              {Likeness::kDifferent, "different"},
+                                              {Likeness::kOnlyReal, "only the real one answers"},
+                                              {Likeness::kOnlySimulated, "only the simulated one answers"}});
+
 }  // namespace
 
 std::string_view to_string(Likeness likeness) {
-  switch (likeness) {
-    case Likeness::kEqual:
-      return "equal";
-    case Likeness::kNumbersDiffer:
-      return "numbers differ";
-    case Likeness::kSameLength:
-      return "same length";
-    case Likeness::kDifferent:
-      return "different";
-    case Likeness::kOnlyReal:
-      return "only the real one answers";
-    case Likeness::kOnlySimulated:
-      return "only the simulated one answers";
-  }
-  return "";
+  return kLikenesses.of(likeness);
 }
 
 std::vector<ComparedExchange> compare_firmware(const WireLog& log, sim::Firmware& firmware,

@@ -21,7 +21,7 @@ enum class Likeness {
 /// "equal", "numbers differ", ...
 std::string_view to_string(Likeness likeness);
 
-/// Output of a host, and the bytes that came back before its next output.
+/// Output of a host, and the bytes received before its next output.
 struct ComparedExchange {
   double t_s = 0.0;
   std::string asked;  ///< Empty: before the host's first bytes.

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "app/ground/bench_file/bench_config.h"
+#include "app/ground/document/json_text.h"
 #include "app/operate/bench/fault_schedule.h"
 #include "drivers/wire/readable_bytes.h"
 
@@ -122,7 +123,7 @@ std::string EmulatorControl::answer(const std::string& line) {
     }
     return reply.dump();
   } catch (const std::exception& error) {
-    return Json{{"ok", false}, {"error", error.what()}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+    return json_text(Json{{"ok", false}, {"error", error.what()}});
   }
 }
 

@@ -2,8 +2,9 @@
 
 #include <fmt/format.h>
 
-#include <charconv>
 #include <stdexcept>
+
+#include "drivers/text/number.h"
 
 namespace abcal {
 
@@ -13,15 +14,15 @@ sim::TcpPort listening_port(const std::string& port) {
   if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
   sim::TcpPort where;
   if (!host.empty()) where.host = host;
-  const char* const end = port.data() + port.size();
-  const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
-  if (error != std::errc() || stopped != end) {
+  const auto number = pieces::number<std::uint16_t>(std::string_view(port).substr(colon + 1));
+  if (!number) {
     throw std::invalid_argument(fmt::format(
         "port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
         "(listens on the "
         "loopback), PORT from 0 (any free one) to 65535",
         port, port.substr(colon + 1)));
   }
+  where.port = *number;
   return where;
 }
 

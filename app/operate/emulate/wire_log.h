@@ -40,8 +40,8 @@ class WireLogWriter {
   std::size_t rows_ = 0;
 };
 
-/// @throws std::runtime_error naming the line of the file that is not understood. Half a last line, as a
-/// program leaves it that was killed, is left out.
+/// @throws std::runtime_error naming the line of the file that is not understood. An incomplete last line, as
+/// a killed program leaves it, is ignored.
 WireLog read_wire_log(const std::filesystem::path& path);
 
 }  // namespace abcal

@@ -8,15 +8,18 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <span>
 
 #include "app/ground/bench_file/chamber_consistency.h"
 #include "app/ground/bench_file/not_real.h"
 #include "app/operate/session/run_bench.h"
 #include "app/operate/session/small_turn.h"
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/names.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/dwell.h"
+#include "protocol/run/sampling_times.h"
 
 namespace abcal {
 namespace {
@@ -74,6 +77,14 @@ double disagreement(const std::vector<PoseReading>& poses, const Hypothesis& h) 
   const double scale = seen.dot(expected) / expected.squaredNorm();
   if (!(scale > 0.0)) return std::numeric_limits<double>::infinity();
   return (seen - scale * expected).norm() / (scale * expected.norm());
+}
+
+/// Readings per second (at least 2 readings): by the line of their sampling times, which a first or last
+/// arrival that this computer delays does not move; by their arrivals if they do not follow a line.
+double rate_of(std::span<const Reading> readings) {
+  if (const auto times = fit_sampling_times(readings)) return 1.0 / to_seconds(times->period);
+  return static_cast<double>(readings.size() - 1) /
+         to_seconds(readings.back().arrival - readings.front().arrival);
 }
 
 std::string in_words(const Eigen::Vector3d& v, const std::string& unit) {
@@ -244,8 +255,7 @@ class Checker {
     }
     const DwellStatistics at_rest = dwell_statistics(readings, info_);
     const std::string& unit = info_.output_unit;
-    const double rate = static_cast<double>(readings.size() - 1) /
-                        to_seconds(readings.back().arrival - readings.front().arrival);
+    const double rate = rate_of(readings);
     const double asked = stated.settings.rate_hz;
     const bool rate_good = std::abs(rate / asked - 1.0) <= kRateTolerance;
     add(rate_good ? Grade::kGood : Grade::kWarning, "sample rate",
@@ -351,18 +361,13 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   return finding;
 }
 
+constexpr auto kGrades = names<Finding::Grade>({{Finding::Grade::kGood, "good"},
+                                                {Finding::Grade::kWarning, "warning"},
+                                                {Finding::Grade::kProblem, "problem"},
+                                                {Finding::Grade::kLeftOut, "left out"}});
+
 std::string_view to_string(Finding::Grade grade) {
-  switch (grade) {
-    case Finding::Grade::kGood:
-      return "good";
-    case Finding::Grade::kWarning:
-      return "warning";
-    case Finding::Grade::kProblem:
-      return "problem";
-    case Finding::Grade::kLeftOut:
-      return "left out";
-  }
-  return "unknown";
+  return kGrades.of(grade, "unknown");
 }
 
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options) {

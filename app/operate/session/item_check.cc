@@ -132,7 +132,7 @@ ItemCheck check_mounted_item(Bench& bench, const BenchConfig& config, const Item
     Finding identity =
         judge_identity(item.item.serial_number, check.reported, before,
                        std::find(simulated.begin(), simulated.end(), "accelerometer") != simulated.end());
-    // It says more of a wrong serial number than the comparison with the bench file.
+    // On a wrong serial number it is more specific than the comparison with the bench file.
     if (identity.grade == Grade::kProblem)
       std::erase_if(check.findings, [](const Finding& finding) { return finding.what == kItemFinding; });
     check.findings.push_back(std::move(identity));

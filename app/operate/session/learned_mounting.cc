@@ -4,10 +4,10 @@
 
 #include <Eigen/LU>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <numbers>
 
+#include "drivers/text/letters.h"
 #include "protocol/linear/singular_values.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/mountings.h"
@@ -19,15 +19,14 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 using Changes = Eigen::Matrix<double, 3, 2>;  ///< Due to the turn of X, and to that of Z after it.
 
-constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"};
 // An axis that turns gravity by less than this part of what it should does not turn the item: the axes are
 // perpendicular to within degrees on any stage, and each turn changes the readings by a quarter g_loc at
 // least.
 constexpr double kLeastTurn = 0.25;
 // With one dead output at least a quarter of each turn is left, and less if the item is tilted.
 constexpr double kLeastOfDead = 0.1;
-// Where the unit does not tell the response: a turn that changes the readings by less of their length is
-// none.
+// If the unit does not imply the response: a turn that changes the readings by less of their length is not
+// detected.
 constexpr double kLeastPartOfReadings = 0.05;
 // As of `abcal check`: room for a tilt, sensitivities and angles that are not nominal.
 constexpr double kLargestResidual = 0.2;
@@ -36,8 +35,8 @@ constexpr double kLargestResidual = 0.2;
 constexpr double kResponseTolerance = 0.2;
 // In g_loc. The wrong side is wrong by 1.9.
 constexpr double kLargestOffset = 0.35;
-// Changes below this (g_loc) are none: the least change of an output along an axis of the platter is 0.13,
-// and one of 0.05 is left where the item is tilted as far as it may be.
+// Changes below this (g_loc) are not significant: the least change of an output along an axis of the platter
+// is 0.13, and one of 0.05 is left where the item is tilted as far as it may be.
 constexpr double kLeastChange = 0.03;
 // Standard uncertainty of a mean (g_loc) with which the direction of the smallest change is still known to 10
 // degrees.
@@ -137,12 +136,11 @@ void require_living_outputs(const TurnReadings& turn) {
     const bool is_deaf = turn.seen.row(j).cwiseAbs().maxCoeff() < kLeastChange * response &&
                          std::abs(turn.poses.front().mean[j]) < 0.5 * response;
     if (!is_constant && !is_deaf) continue;
-    throw MountingUnclear(
-        fmt::format("mounting: output {} does not follow gravity: it reads {} at all three poses{}; "
-                    "required: an output that "
-                    "changes with the turn of at least one axis. Check its wire, its channel and its column",
-                    kOutputs[static_cast<std::size_t>(j)], turn.value(turn.poses.front().mean[j]),
-                    is_constant ? ", without any noise" : ""));
+    throw MountingUnclear(fmt::format(
+        "mounting: output {} does not follow gravity: it reads {} at all three poses{}; "
+        "required: an output that "
+        "changes with the turn of at least one axis. Check its wire, its channel and its column",
+        kOutputNames[j], turn.value(turn.poses.front().mean[j]), is_constant ? ", without any noise" : ""));
   }
 }
 
@@ -262,7 +260,7 @@ LearnedMounting learn_mounting(const std::vector<PoseReading>& poses, const Moun
   require_little_noise(turn);
   require_living_outputs(turn);
   require_both_turns(turn);
-  // Rotations and reflections explain changes due to two turns alike. The readings at zero tell them apart:
+  // Rotations and reflections explain changes due to two turns alike. The readings at zero distinguish them:
   // with the wrong ones gravity is on the other side, and the offset is nearly twice g_loc.
   const Vector3d at_zero = gravity_at(poses.front().x, poses.front().z);
   const auto offset_with = [&](const Fit& fit) {

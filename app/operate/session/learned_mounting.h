@@ -10,8 +10,8 @@
 
 namespace abcal {
 
-/// The readings do not show how the item stands, or what they show cannot be used. The message says what was
-/// found, what is required and what to do.
+/// The readings do not show how the item is mounted, or show a mounting that cannot be used. The message
+/// states what was found, what is required and what to do.
 class MountingUnclear : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -21,7 +21,7 @@ class MountingUnclear : public std::runtime_error {
 /// little more.
 inline constexpr double kLargestLearnedTiltDeg = 10.0;
 
-/// How an item stands on its stage, as gravity shows it.
+/// The mounting of an item on its stage, as gravity shows it.
 struct LearnedMounting {
   std::string mounting;          ///< "-y x z", as [item] mounting: the nearest of the 24 right-handed ones.
   int sign_x = +1;               ///< [stage.x] sign
@@ -35,8 +35,8 @@ struct LearnedMounting {
 /// Knowledge before the turn.
 struct MountingSearch {
   std::string response_unit;               ///< R, for messages.
-  std::optional<double> nominal_response;  ///< R for one g_loc; absent: the unit does not tell.
-  std::string known;  ///< How the item stands, as a person states it ([item] mounting); empty: not stated.
+  std::optional<double> nominal_response;  ///< R for one g_loc; absent if the unit does not imply it.
+  std::string known;  ///< The mounting as a person states it ([item] mounting); empty: not stated.
 };
 
 /// Finds the nearest mounting and the signs of both axes from the readings of a small turn: at zero, with X
@@ -48,7 +48,7 @@ struct MountingSearch {
 /// direction about which X turns right-handed when its controller counts up. Outputs are taken as
 /// right-handed, so that the sign of Z is unique.
 /// @param poses  three poses in the angles of the controllers (sign 1, zero where they were homed)
-/// @throws MountingUnclear; std::invalid_argument for other than three poses, or a `known` that is no
+/// @throws MountingUnclear; std::invalid_argument for other than three poses, or a `known` that is not a
 /// mounting
 LearnedMounting learn_mounting(const std::vector<PoseReading>& poses, const MountingSearch& search);
 

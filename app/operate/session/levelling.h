@@ -17,8 +17,8 @@ struct Levelling {
   XZero x_zero;
 };
 
-/// The sensitivity by which a levelling is evaluated (R per g_loc): the nominal one of the output's unit.
-/// Nothing: the unit implies none.
+/// The sensitivity by which a levelling is evaluated (R per g_loc): the nominal one of the output's unit;
+/// nullopt if the unit does not imply one.
 std::optional<Eigen::Matrix3d> nominal_sensitivity(const std::string& output_unit, double g_loc_mps2);
 
 /// Evaluates the complete readings of level_plan().

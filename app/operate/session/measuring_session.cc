@@ -601,7 +601,7 @@ void MeasuringSession::close_and_keep(RunFile file, MeasuredRun& run, const std:
   if (const auto why = stamp_if_configured(run.path)) warn("time stamp", *why);
 }
 
-/// The angles of a run that begins or goes on are witnessed from now on.
+/// The angles of a run that begins or continues are witnessed from now on.
 void MeasuringSession::have_witnessed(RunFile& file) {
   const std::string& bench = opened_->config.name;
   witness_->begin(file, bench.empty() ? "bench" : bench, opened_->registered.who.name,
@@ -621,7 +621,7 @@ RegisteredStart MeasuringSession::find_operator(const std::string& stated) const
   return {{stated, {}}, {}};
 }
 
-/// Reports the control charts that wait for a run. Not called for a replay, which is no check.
+/// Reports the control charts that wait for a run. Not called for a replay, which is not a check.
 void MeasuringSession::notify_charts(const MeasuredRun& run) const {
   if (run.is_levelling() || !options_.laboratory.check_run_notices) return;
   for (const StoredRun& item : run.items) {

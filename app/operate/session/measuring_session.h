@@ -113,7 +113,7 @@ class MeasuringSession {
     std::shared_ptr<RunAnalyst> analyst;  ///< Null: runs are closed without an analysis.
     /// Finds the witness of the runs, which may be null; empty: WitnessClient::find().
     std::function<std::unique_ptr<WitnessClient>()> find_witness;
-    /// Free space for a file, in bytes; nothing: not known. Empty: as the file system says.
+    /// Free space for a file, in bytes; nullopt if unknown. Empty: by the file system.
     std::function<std::optional<std::uintmax_t>(const std::filesystem::path&)> free_disk_space;
   };
 
@@ -150,7 +150,7 @@ class MeasuringSession {
   /// @throws as start()
   MeasuredRun replay(const ReplayRequest& request);
 
-  /// Requests that the stage stands still after the current angle.
+  /// Requests that the stage stops after the current angle.
   void hold();
   void continue_run();
   bool is_hold_wanted() const;
@@ -207,7 +207,7 @@ class MeasuringSession {
   std::optional<std::stop_callback<std::function<void()>>> stop_link_;
 };
 
-/// The witness of the runs of sessions with these options; the listener is told what is not witnessed.
+/// The witness of the runs of sessions with these options; the listener receives what is not witnessed.
 /// @throws std::runtime_error if the witness that is configured cannot be reached; std::invalid_argument: its
 /// key cannot be used
 std::unique_ptr<RunWitness> find_witness(const MeasuringSession::Options& options);
@@ -221,7 +221,7 @@ struct FinishedRun {
 /// Closes and analyses a run whose angles are all measured, if its program ended before that.
 /// @param analyst  null: only closed
 /// @param witness  has the end witnessed; null: nothing is witnessed
-/// @return nothing if nothing is left to do, or not all angles are measured
+/// @return nullopt if nothing is left to do, or if not all angles are measured
 /// @throws RunFileError also if the file was changed since it was written
 std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst,
                                                RunWitness* witness);

@@ -27,7 +27,7 @@ std::vector<SeriesMounting> mountings_of_series(const BenchConfig& config, int c
 /// "x: u", "y: -w", "z: v".
 std::string mounting_drawing(const std::string& mounting);
 
-/// How an item stands, against how it should.
+/// The present mounting of an item, compared with the required one.
 struct MountingJudgement {
   bool is_as_required = false;
   std::string words;  ///< The mounting that gravity shows, and the turn that is missing.

@@ -13,6 +13,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "app/ground/document/json_text.h"
 #include "app/ground/system/detached_process.h"
 #include "app/ground/system/helper_program.h"
 
@@ -47,7 +48,7 @@ struct MessageOf {
   }
 };
 
-/// The answer of abcal-transfer; nothing: it ended without one.
+/// The answer of abcal-transfer; nullopt if it ended without one.
 std::optional<std::string> answer_on(int socket) {
   std::array<char, 4096> answer{};
   const ssize_t count = ::recv(socket, answer.data(), answer.size(), 0);
@@ -94,12 +95,11 @@ void Notifier::send(const SessionEvent& event, const std::string& utc) {
 }
 
 void Notifier::start(const Json& message) {
-  const std::string packet = Json{
-      {"webhook", config_.webhook},
-      {"mail_to", config_.mail_to},
-      {"mail_from", config_.mail_from},
-      {"mail_server", config_.mail_server},
-      {"message", message}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+  const std::string packet = json_text({{"webhook", config_.webhook},
+                                        {"mail_to", config_.mail_to},
+                                        {"mail_from", config_.mail_from},
+                                        {"mail_server", config_.mail_server},
+                                        {"message", message}});
   const ConnectedProcess sender = start_connected(helper_program("abcal-transfer", "[notify] needs"));
   sendings_.push_back(sender);
   // The socket holds the packet until the program has started and reads it.

@@ -112,8 +112,8 @@ struct PlanMeasurement {
   RunProgress so_far;
 };
 
-/// Measures the missing angles of the plan. In real time `stop` halts the stage at once, whatever the
-/// measuring thread waits for: the halt is sent by the thread that requests the stop.
+/// Measures the missing angles of the plan. In real time `stop` halts the stage at once, even while the
+/// measuring thread waits: the halt is sent by the thread that requests the stop.
 RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer,
                        const std::stop_token& stop);
 

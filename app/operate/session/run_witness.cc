@@ -56,7 +56,7 @@ void RunWitness::begin(RunFile& file, const std::string& bench, const std::strin
     require_as_witnessed(file.path());
     const Known known = known_of(RunFile::witnessed(file.path()));
     posted_ = known.links;
-    // Angles that were never signed stay so: the run goes on behind them.
+    // Angles that were never signed stay unsigned; the run continues after them.
     if (!known.has_begun || known.last != file.last_link())
       file.append_witness(client_->begin(run_, bench, person, file.last_link(), simulated));
     has_begun_ = true;

@@ -20,8 +20,8 @@ class RunWitness {
   /// @param warn  called with what is not witnessed, and why
   RunWitness(std::unique_ptr<WitnessClient> client, std::function<void(const std::string&)> warn);
 
-  /// A run that begins, or goes on: its angles are witnessed from now on. Statements that the file lacks,
-  /// because its program was killed before it had stored them, are fetched.
+  /// A run begins or continues: its angles are witnessed from now on. Statements that the file lacks, because
+  /// its program was killed before it had stored them, are fetched.
   /// @param file  that is written
   /// @param simulated  the clock of the run jumps: only beginning and end are witnessed
   /// @throws RunFileError if the file is not what was witnessed; WitnessRefusal

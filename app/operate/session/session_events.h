@@ -93,7 +93,7 @@ struct PortBackEvent {
   std::string text;
 };
 
-/// The stage stands still before an angle because of a hold request.
+/// The stage waits before an angle because of a hold request.
 struct HeldEvent {
   static constexpr const char* kName = "held";
   std::size_t position = 0;  ///< In the plan.

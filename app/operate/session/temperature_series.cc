@@ -28,7 +28,7 @@ constexpr double kTellEveryS = 600.0;
 constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
 
-/// The present temperature (degC) of the item's own sensor; nothing: none of its readings told one.
+/// The present temperature (degC) of the item's own sensor; nullopt if its readings do not include it.
 std::optional<double> item_temperature(Bench& bench) {
   Accelerometer& accelerometer = *bench.first().accelerometer;
   accelerometer.start();

@@ -26,11 +26,11 @@ std::vector<std::filesystem::path> series_paths(const std::filesystem::path& ste
 
 /// Measures a series: drives the chamber to each point, waits until the item is at rest, and lets
 /// MeasuringSession measure a run. Points that are measured are kept, and an interrupted run is resumed, so
-/// that a series continues where it ended. However it ends, the chamber is left as its policy says.
+/// that a series continues where it ended. After any end the chamber is left as its policy states.
 class TemperatureSeries {
  public:
   struct Options {
-    MeasuringSession::Options session;             ///< The listener hears the events of every run.
+    MeasuringSession::Options session;             ///< The listener receives the events of every run.
     std::function<void(const std::string&)> tell;  ///< Sentences for a person, with the remaining time.
   };
   struct Request {
@@ -43,7 +43,7 @@ class TemperatureSeries {
   explicit TemperatureSeries(Options options) : options_(std::move(options)) {}
 
   /// @throws BenchError (every demand that the chamber cannot meet), InstrumentError, RunFileError,
-  /// RunInterrupted, std::invalid_argument: a file of another bench is in the way
+  /// RunInterrupted, std::invalid_argument: the output file is from another bench
   std::vector<std::filesystem::path> measure(const Request& request);
 
  private:

@@ -15,10 +15,10 @@ class SoakRule {
  public:
   SoakRule(const TemperatureConfig& config, double set_degc) : config_(config), set_degc_(set_degc) {}
 
-  /// Adds one reading. `item_degc`: nothing if the item has no sensor; then the air alone decides.
+  /// Adds one reading. `item_degc`: nullopt if the item has no sensor; then only the air counts.
   void add(double time_s, double air_degc, std::optional<double> item_degc);
   bool reached() const;
-  /// The item's rate over the span in K/min; nothing: the readings do not cover the span yet.
+  /// The item's rate over the span in K/min; nullopt until the readings cover the span.
   std::optional<double> rate_k_per_min() const;
   std::optional<double> item_degc() const;
   double air_degc() const { return air_degc_; }

@@ -16,6 +16,7 @@
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/plan/backlash.h"
+#include "protocol/quantities/quantity_groups.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -41,20 +42,33 @@ CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) 
   }
 }
 
-/// The line response of a simulated item, averaged over the bench's span. Quantities that change without
-/// limit (drift_per_hour, the room's temperature) have their initial values, because the duration of the run
-/// is not known here.
-sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageTruth& stage) {
-  constexpr int kTimes = 101;
-  truth.drift_per_hour.setZero();
-  truth.temperature_per_hour = 0.0;
+/// Times of the run's angles since its start, in seconds; empty unless every angle has one.
+std::vector<double> times_of(const RunRecord& record) {
+  std::vector<double> times;
+  for (const DwellRecord& dwell : record.dwells)
+    if (dwell.time_s && std::isfinite(*dwell.time_s)) times.push_back(*dwell.time_s);
+  if (times.size() < record.dwells.size()) times.clear();
+  return times;
+}
+
+/// The line response of a simulated item, averaged over the times of the run's angles. Without times it is
+/// averaged over the bench's span; quantities that change without limit (drift_per_hour, the room's
+/// temperature) then have their initial values, because the duration of the run is not known.
+sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageTruth& stage,
+                                         std::vector<double> times) {
+  if (times.empty()) {
+    constexpr int kTimes = 101;
+    truth.drift_per_hour.setZero();
+    truth.temperature_per_hour = 0.0;
+    for (int k = 0; k < kTimes; ++k) times.push_back(stage.span_s * k / (kTimes - 1));
+  }
   const sim::SimBench world(truth, stage, {});
+  const auto count = static_cast<double>(times.size());
   sim::TrueLineResponse mean{Eigen::Matrix3d::Zero(), Eigen::Vector3d::Zero()};
-  for (int k = 0; k < kTimes; ++k) {
-    const sim::TrueLineResponse at =
-        world.true_line_response(world.start() + from_seconds(stage.span_s * k / (kTimes - 1)));
-    mean.sensitivity_matrix += at.sensitivity_matrix / kTimes;
-    mean.offset += at.offset / kTimes;
+  for (const double time_s : times) {
+    const sim::TrueLineResponse at = world.true_line_response(world.start() + from_seconds(time_s));
+    mean.sensitivity_matrix += at.sensitivity_matrix / count;
+    mean.offset += at.offset / count;
   }
   return mean;
 }
@@ -70,6 +84,15 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
     result.diagnostics.notes.push_back(std::move(words));
   if (backlash_is_left(record) && find_estimator(result.estimator).needs_angles)
     result.diagnostics.notes.push_back(backlash_words(record.tolerances.zero));
+  if (record.order_assumed && result.verdict != Verdict::kNotUsable) {
+    constexpr const char* kOrder =
+        "the file has no time_s: the order of its rows is taken as the order of time, on which drift, "
+        "hysteresis "
+        "and slow noise depend. If it is another, the uncertainties are too small. Add time_s, or the line "
+        "\"# row_order: time\"";
+    result.diagnostics.notes.emplace_back(kOrder);
+    result.why += fmt::format("; {}", kOrder);
+  }
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and resumed {}; each time the axes were homed again, and the "
@@ -182,8 +205,10 @@ AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimat
   return run;
 }
 
-TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench, int item) {
-  const sim::TrueLineResponse line = mean_line_response(item_truth(bench, item), bench.simulation);
+TruthComparison compare_with_truth(const CalibrationResult& result, const RunRecord& record,
+                                   const BenchConfig& bench, int item) {
+  const sim::TrueLineResponse line =
+      mean_line_response(item_truth(bench, item), bench.simulation, times_of(record));
   const Eigen::Matrix3d& s = line.sensitivity_matrix;
   const IntrinsicProperties intrinsic = intrinsic_properties(s);
   TruthComparison comparison;
@@ -198,27 +223,13 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const BenchC
     comparison.text += fmt::format("  {:<8} {:>14.7f} {:>14.7f} {:>+12.2e} {:>+12.2f}\n", name, truth,
                                    q.value, q.value - truth, ratio);
   };
-  const char* const names[] = {"u", "v", "w"};
-  const char* const axes[] = {"x", "y", "z"};
-  const char* const pairs[] = {"uv", "vw", "wu"};
-  if (result.sensitivity_matrix) {
-    for (std::size_t j = 0; j < 3; ++j) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        add(fmt::format("s_{}{}", names[j], axes[k]), s(static_cast<int>(j), static_cast<int>(k)),
-            (*result.sensitivity_matrix)[j][k]);
-      }
-    }
-  }
-  for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("s_{}", names[j]), intrinsic.sensitivity[static_cast<int>(j)],
-        result.intrinsic_sensitivity[j]);
-  }
-  for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("phi_{}", pairs[j]), intrinsic.angle_deg[static_cast<int>(j)], result.intrinsic_angle[j]);
-  }
-  for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("O_{}", names[j]), line.offset[static_cast<int>(j)], result.offset[j]);
-  }
+  const Eigen::Matrix3d columns = s.transpose();  // Column by column: s row by row.
+  std::vector<double> truths(columns.data(), columns.data() + columns.size());
+  for (const Eigen::Vector3d& three : {intrinsic.sensitivity, intrinsic.angle_deg, line.offset})
+    truths.insert(truths.end(), three.begin(), three.end());
+  const std::vector<NamedQuantity> found = outputs(result);
+  for (std::size_t i = result.sensitivity_matrix ? 0 : 9; i < truths.size(); ++i)
+    add(found[i].name, truths[i], found[i].quantity);
   comparison.text +=
       fmt::format("  largest difference: {:.2f} standard uncertainties; at most {} allowed: {}\n",
                   comparison.largest, comparison.allowed, comparison.agrees() ? "agrees" : "DISAGREES");

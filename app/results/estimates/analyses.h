@@ -58,13 +58,15 @@ struct AnalysedRun {
 /// @param estimator  the only one to be applied; empty: all of them, the declared one first
 AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator = {});
 
-/// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.
+/// Every output compared with the truth of a simulated bench, averaged over the times of the run's angles:
+/// the difference in standard uncertainties.
 struct TruthComparison {
   std::string text;
   double largest = 0.0;  ///< Largest difference, in standard uncertainties.
   double allowed = 4.0;  ///< 4 standard uncertainties: 1 in 16 000 for each output by chance.
   bool agrees() const { return largest <= allowed; }
 };
-TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench, int item = 1);
+TruthComparison compare_with_truth(const CalibrationResult& result, const RunRecord& record,
+                                   const BenchConfig& bench, int item = 1);
 
 }  // namespace abcal

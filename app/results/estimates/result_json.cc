@@ -4,6 +4,9 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "protocol/quantities/output_names.h"
+#include "protocol/quantities/quantity_groups.h"
+
 namespace abcal {
 namespace {
 
@@ -40,21 +43,49 @@ Json output_quantities(const Range& range) {
   return list;
 }
 
-Json motion_json(const MotionResult& motion) {
-  Json json;
-  json["responses"] = Json::array();
+Json responses_json(const MotionResult& motion) {
+  Json list = Json::array();
   for (const RateResponse& response : motion.responses)
-    json["responses"].push_back({{"rate_deg_per_s", response.rate_deg_per_s},
-                                 {"frequency_hz", response.frequency_hz},
-                                 {"amplitude", quantities(response.amplitude)},
-                                 {"phase_beyond_delay", quantity(response.phase)}});
-  json["position"] = Json::array();
-  for (const auto& element : motion.position) json["position"].push_back(quantities(element));
-  json["delay"] = quantities(motion.delay);
-  json["delay_difference"] = quantities(motion.delay_difference);
-  json["rate_offset"] = quantities(motion.rate_offset);
-  json["axes_distance"] = quantity(motion.axes_distance);
-  return json;
+    list.push_back({{"rate_deg_per_s", response.rate_deg_per_s},
+                    {"frequency_hz", response.frequency_hz},
+                    {"amplitude", quantities(response.amplitude)},
+                    {"phase_beyond_delay", quantity(response.phase)}});
+  return list;
+}
+
+/// The values of a group in its shape. Outputs have their coverage factor.
+Json group_json(const FoundGroup& group) {
+  Json list = Json::array();
+  for (std::size_t i = 0; i < group.values.size(); ++i) {
+    const Quantity& q = group.values[i].quantity;
+    Json value = group.about.kind == QuantityKind::kOutput ? output_quantity(q) : quantity(q);
+    if (group.about.columns == 0) return value;
+    if (group.about.columns > 1 && i % group.about.columns == 0) list.push_back(Json::array());
+    (group.about.columns > 1 ? list.back() : list).push_back(std::move(value));
+  }
+  return list;
+}
+
+/// Sets the values of groups; outputs that are not among them become null.
+void set_groups(Json& json, const std::vector<FoundGroup>& groups) {
+  for (const QuantityGroup& group : quantity_groups())
+    if (group.kind == QuantityKind::kOutput) json[Json::json_pointer(group.path())] = nullptr;
+  for (const FoundGroup& group : groups) json[Json::json_pointer(group.about.path())] = group_json(group);
+}
+
+/// The description of groups for programs that show them: names, meaning, and the place of the values.
+Json descriptions_json(const std::vector<FoundGroup>& groups) {
+  Json list = Json::array();
+  for (const auto& [about, values] : groups)
+    list.push_back({{"key", about.key},
+                    {"path", about.path()},
+                    {"kind", to_string(about.kind)},
+                    {"of_protocol", about.of_protocol},
+                    {"frame", to_string(about.frame)},
+                    {"heading", about.heading},
+                    {"meaning", about.meaning},
+                    {"symbols", about.symbols}});
+  return list;
 }
 
 template <class Matrix>
@@ -83,8 +114,6 @@ Json stage_record_use_json(const StageRecordUse& use) {
           {"agrees", use.agrees}, {"tests", std::move(tests)}};
 }
 
-constexpr const char* kOutputLetters[] = {"u", "v", "w"};
-
 Json diagnostics(const Diagnostics& d) {
   Json fits = Json::array();
   for (const FitDiagnostic& fit : d.fits) {
@@ -95,7 +124,7 @@ Json diagnostics(const Diagnostics& d) {
                            {"cos", quantity(harmonic.cos_amplitude)}});
     }
     fits.push_back({{"experiment", fit.experiment},
-                    {"accelerometer", kOutputLetters[fit.accelerometer]},
+                    {"accelerometer", kOutputNames.at(static_cast<std::size_t>(fit.accelerometer))},
                     {"sine", quantity(fit.sine)},
                     {"cosine", quantity(fit.cosine)},
                     {"constant", quantity(fit.constant)},
@@ -109,13 +138,13 @@ Json diagnostics(const Diagnostics& d) {
   Json closures = Json::array();
   for (const Closure& closure : d.closures) {
     closures.push_back({{"name", closure.name},
-                        {"accelerometer", kOutputLetters[closure.accelerometer]},
+                        {"accelerometer", kOutputNames.at(static_cast<std::size_t>(closure.accelerometer))},
                         {"value", quantity(closure.value)}});
   }
   Json closing = Json::array();
   for (const ClosingDifference& difference : d.closing_differences) {
     closing.push_back({{"experiment", difference.experiment},
-                       {"accelerometer", kOutputLetters[difference.accelerometer]},
+                       {"accelerometer", kOutputNames.at(static_cast<std::size_t>(difference.accelerometer))},
                        {"value", quantity(difference.value)}});
   }
   Json flags = Json::array();
@@ -150,7 +179,7 @@ Json diagnostics(const Diagnostics& d) {
 Json model_equation_json(const ModelEquation& equation) {
   Json list = Json::array();
   for (std::size_t j = 0; j < 3; ++j) {
-    list.push_back({{"output", kOutputLetters[j]},
+    list.push_back({{"output", kOutputNames[j]},
                     {"k", quantities(equation.k[j])},
                     {"covariance", matrix(std::optional(equation.covariance[j]))}});
   }
@@ -175,12 +204,7 @@ Json published_json(const PublishedResult& published) {
   Json json;
   json["formula"] = "Geist & Gaitan 2021, Eqs. 5 to 10, not corrected for k2 and k3";
   json["type_b_effects"] = {"alignment_deg", "initial_turn_deg", "zero_deg", "step_deg"};
-  Json rows = Json::array();
-  for (const auto& row : published.sensitivity_matrix) rows.push_back(output_quantities(row));
-  json["sensitivity_matrix"] = std::move(rows);
-  json["offset"] = output_quantities(published.offset);
-  json["intrinsic_sensitivity"] = output_quantities(published.intrinsic_sensitivity);
-  json["intrinsic_angle"] = output_quantities(published.intrinsic_angle);
+  set_groups(json, found_groups(as_result(published), QuantityKind::kOutput));
   json["covariance"] = matrix(std::optional(published.covariance));
   json["covariance_intrinsic"] = matrix(std::optional(published.covariance_intrinsic));
   return json;
@@ -208,16 +232,9 @@ Json result_json(const CalibrationResult& result) {
   json["response_unit"] = result.response_unit;
   json["g_loc"] = quantity(result.g_loc);
   json["g_loc"]["source"] = result.g_loc_source;
-  if (result.sensitivity_matrix) {
-    Json rows = Json::array();
-    for (const auto& row : *result.sensitivity_matrix) rows.push_back(output_quantities(row));
-    json["sensitivity_matrix"] = std::move(rows);
-  } else {
-    json["sensitivity_matrix"] = nullptr;
-  }
-  json["offset"] = output_quantities(result.offset);
-  json["intrinsic_sensitivity"] = output_quantities(result.intrinsic_sensitivity);
-  json["intrinsic_angle"] = output_quantities(result.intrinsic_angle);
+  const std::vector<FoundGroup> groups = found_groups(result);
+  set_groups(json, groups);
+  json["quantities"] = descriptions_json(groups);
   json["covariance"] = matrix(result.covariance);
   json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
   json["diagnostics"] = diagnostics(result.diagnostics);
@@ -239,17 +256,10 @@ Json result_json(const CalibrationResult& result) {
   if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {
     const JointResult& joint = *result.joint;
-    json["alignment"] = quantities(joint.alignment);
-    json["initial_turn_error"] = quantities(joint.initial_turn_error);
-    if (joint.turn_error_face_2) json["turn_error_face_2"] = quantities(*joint.turn_error_face_2);
-    json["mean_step_error"] = quantities(joint.mean_step_error);
     json["step_error"] = Json::array();
     for (const auto& experiment : joint.step_error) json["step_error"].push_back(quantities(experiment));
-    json["drift"] = quantities(joint.drift);
-    json["nonlinearity"] = {
-        {"k2", quantities(joint.k2)}, {"k3", quantities(joint.k3)}, {"fitted", joint.nonlinearity_fitted}};
-    json["drift_at_end"] = quantities(joint.drift_at_end);
-    if (joint.motion) json["motion"] = motion_json(*joint.motion);
+    json["nonlinearity"]["fitted"] = joint.nonlinearity_fitted;
+    if (joint.motion) json["motion"]["responses"] = responses_json(*joint.motion);
     const NormAgreement& test = joint.norm_against_joint;
     json["norm_against_joint"] = {{"statistic", test.done ? json_number(test.statistic) : Json(nullptr)},
                                   {"degrees_of_freedom", test.degrees_of_freedom},

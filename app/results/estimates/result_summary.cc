@@ -19,14 +19,13 @@
 #include "app/results/estimates/result_text.h"
 #include "app/results/estimates/size_costs.h"
 #include "app/results/estimates/tray_results.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/record/run_label.h"
 #include "protocol/uncertainty/budget.h"
 
 namespace abcal {
 namespace {
 
-constexpr std::array<const char*, 3> kRows{"u", "v", "w"};
-constexpr std::array<const char*, 3> kAngles{"uv", "vw", "wu"};
 constexpr const char* kKeysCommand = "abcal plan --keys";
 constexpr const char* kU = "U: expanded uncertainty, for a coverage probability of 95.45 %";
 
@@ -110,7 +109,7 @@ std::string table(const Cells& cells, const std::array<std::string, 3>& headings
   };
   text += line("", [&](std::size_t c) { return headings[c]; });
   for (std::size_t j = 0; j < 3; ++j)
-    text += line(kRows[j], [&](std::size_t c) { return cells[j][c].value; });
+    text += line(kOutputNames[j], [&](std::size_t c) { return cells[j][c].value; });
   return text;
 }
 
@@ -120,7 +119,7 @@ std::string matrix_table(const CalibrationResult& result, std::FILE* stream) {
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k) {
       const Quantity& q = (*result.sensitivity_matrix)[j][k];
-      cells[j][k] = {fmt::format("s_{}{}", kRows[j], "xyz"[k]), with_expanded(q), q.unit};
+      cells[j][k] = {std::string(kOutputSymbols[3 * j + k]), with_expanded(q), q.unit};
     }
   }
   const std::string unit = (*result.sensitivity_matrix)[0][0].unit;
@@ -133,15 +132,27 @@ std::string intrinsic_table(const CalibrationResult& result, std::FILE* stream) 
     const auto cell = [](std::string name, const Quantity& q) {
       return Cell{std::move(name), with_expanded(q), q.unit};
     };
-    cells[j] = {cell(fmt::format("s_{}", kRows[j]), result.intrinsic_sensitivity[j]),
-                cell(fmt::format("phi_{}", kAngles[j]), result.intrinsic_angle[j]),
-                cell(fmt::format("O_{}", kRows[j]), result.offset[j])};
-    cells[j][1].value = fmt::format("{} {}", kAngles[j], cells[j][1].value);
+    cells[j] = {cell(fmt::format("s_{}", kOutputNames[j]), result.intrinsic_sensitivity[j]),
+                cell(fmt::format("phi_{}", kOutputPairs[j]), result.intrinsic_angle[j]),
+                cell(fmt::format("O_{}", kOutputNames[j]), result.offset[j])};
+    cells[j][1].value = fmt::format("{} {}", kOutputPairs[j], cells[j][1].value);
   }
   const auto unit = [](const std::array<Quantity, 3>& of) { return of[0].unit; };
   return heading(stream, "Sensitivities s, angles phi between the axes, offsets O; each +- U") +
          table(cells, {"s, " + unit(result.intrinsic_sensitivity), "phi, " + unit(result.intrinsic_angle),
                        "O, " + unit(result.offset)});
+}
+
+/// Outputs beyond those of the protocol, one a line.
+std::string further_text(const CalibrationResult& result, std::FILE* stream) {
+  std::string text;
+  for (const auto& [about, values] : further_outputs(result)) {
+    text += heading(stream, about.heading + " +- U");
+    for (const auto& [name, quantity] : values)
+      text += block(fmt::format("{} {}", with_expanded(quantity), quantity.unit),
+                    fmt::format("  {:<8}", name), std::string(10, ' '));
+  }
+  return text;
 }
 
 std::optional<Budget> budget_of(const AnalysedItem& item) {
@@ -283,7 +294,8 @@ std::string summary_text(const AnalysedItem& item, const std::string& file, std:
                      item_line(item.stored);
   const std::optional<Budget> budget = budget_of(item);
   if (result.verdict != Verdict::kNotUsable) {
-    text += "\n" + matrix_table(result, stream) + intrinsic_table(result, stream) + "  " + kU + "\n";
+    text += "\n" + matrix_table(result, stream) + intrinsic_table(result, stream) +
+            further_text(result, stream) + "  " + kU + "\n";
     if (budget) text += dominating(*budget, stream);
   }
   return text + warnings_text(warnings_of(item, budget, file), stream) + file_line(file);
@@ -305,7 +317,8 @@ std::string summary_text(const AnalysedRun& run, const std::string& file, std::F
     if (progress.dropped_at)
       text += block(fmt::format("dropped before angle {}: {}", *progress.dropped_at + 1, progress.reason),
                     "  ", "    ");
-    if (result.verdict != Verdict::kNotUsable) text += intrinsic_table(result, stream);
+    if (result.verdict != Verdict::kNotUsable)
+      text += intrinsic_table(result, stream) + further_text(result, stream);
     if (result.verdict == Verdict::kDoubtful) text += block(result.why, "  ", "    ");
     text += "  -> " + full_command(item, file) + "\n";
   }

@@ -13,13 +13,13 @@
 #include "app/results/estimates/estimators.h"
 #include "app/results/estimates/published_text.h"
 #include "app/results/estimates/report_data.h"
+#include "protocol/quantities/output_names.h"
 
 namespace abcal {
 
 int decimals_for(double uncertainty) {
   if (!(uncertainty > 0.0) || !std::isfinite(uncertainty)) return 9;
-  constexpr double kRoundedUp = 0.995;  // 9.95 and more are 10 in two digits
-  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty / kRoundedUp))), -17, 17);
+  return std::clamp(-place_of_second_digit(uncertainty), -17, 17);
 }
 
 std::string with_decimals(double value, int decimals, bool with_sign) {
@@ -33,10 +33,6 @@ std::string with_decimals(double value, int decimals, bool with_sign) {
 }
 
 namespace {
-
-constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
-constexpr std::array<char, 3> kAxes{'x', 'y', 'z'};
-constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
 
 std::string uncertainty_text(const std::optional<double>& u, int decimals) {
   if (!u || !std::isfinite(*u)) return "-";
@@ -60,16 +56,19 @@ void row(std::string& text, const std::string& name, const Quantity& q, bool wit
                   part_text(q.type_b), with_k ? fmt::format("{:>6.2f}  ", coverage_factor(q)) : "", q.unit);
 }
 
-void stage_errors(std::string& text, const JointResult& joint) {
+/// The rows of the groups of a kind that have any number.
+void rows_of(std::string& text, const CalibrationResult& result, QuantityKind kind) {
+  for (const auto& [about, values] : found_groups(result, kind)) {
+    if (std::ranges::none_of(values, [](const auto& one) { return std::isfinite(one.quantity.value); }))
+      continue;
+    for (const auto& [name, quantity] : values) row(text, name, quantity);
+  }
+}
+
+void stage_errors(std::string& text, const CalibrationResult& result) {
+  const JointResult& joint = *result.joint;
   text += "\nStage, found from the same readings\n";
-  constexpr std::array<const char*, 3> kAlignment{"Zx", "Zy", "Xz"};
-  for (std::size_t k = 0; k < 3; ++k) row(text, kAlignment[k], joint.alignment[k]);
-  row(text, "d2", joint.initial_turn_error[0]);
-  row(text, "d3", joint.initial_turn_error[1]);
-  for (std::size_t i = 0; joint.turn_error_face_2 && i < 3; ++i)
-    row(text, fmt::format("d{} face 2", i + 1), (*joint.turn_error_face_2)[i]);
-  row(text, "F_X", joint.mean_step_error[0]);
-  row(text, "F_Z", joint.mean_step_error[1]);
+  rows_of(text, result, QuantityKind::kStage);
   for (std::size_t i = 0; i < 3; ++i) {
     double squares = 0.0, uncertainty = 0.0, largest = 0.0;
     int count = 0;
@@ -87,19 +86,14 @@ void stage_errors(std::string& text, const JointResult& joint) {
     }
   }
   text += "Accelerometer, found from the same readings\n";
-  for (std::size_t j = 0; j < 3; ++j) row(text, fmt::format("b_{}", kAccelerometers[j]), joint.drift[j]);
-  if (joint.nonlinearity_fitted) {
-    for (std::size_t j = 0; j < 3; ++j) row(text, fmt::format("k2_{}", kAccelerometers[j]), joint.k2[j]);
-    for (std::size_t j = 0; j < 3; ++j) row(text, fmt::format("k3_{}", kAccelerometers[j]), joint.k3[j]);
-  } else {
-    text += "  k2, k3   left out: the readings show no non-linearity\n";
-  }
+  rows_of(text, result, QuantityKind::kAccelerometer);
+  if (!joint.nonlinearity_fitted) text += "  k2, k3   left out: the readings show no non-linearity\n";
 }
 
 /// Adds what the turning shows beside the response at rest.
-void add_motion(std::string& text, const MotionResult& motion) {
+void add_motion(std::string& text, const CalibrationResult& result) {
   text += "\nResponse relative to rest, of u, v, w (standard uncertainty)\n";
-  for (const RateResponse& response : motion.responses) {
+  for (const RateResponse& response : result.joint->motion->responses) {
     text += fmt::format("  {:>6.4g} degree/s, {:.4f} Hz  amplitude", response.rate_deg_per_s,
                         response.frequency_hz);
     for (const Quantity& q : response.amplitude) text += " " + value_with_uncertainty(q);
@@ -108,10 +102,7 @@ void add_motion(std::string& text, const MotionResult& motion) {
                         value_with_uncertainty(response.phase));
   }
   text += "Accelerometer and stage where it turns\n";
-  for (std::size_t j = 0; j < 3; ++j)
-    row(text, fmt::format("r_{0}{1}", kAccelerometers[j], kAxes[j]), motion.position[j][j]);
-  row(text, "delay X", motion.delay[0]);
-  row(text, "delay Z", motion.delay[1]);
+  rows_of(text, result, QuantityKind::kMotion);
 }
 
 /// The ABC result of each face, and the difference, which shows errors of the stage.
@@ -128,33 +119,16 @@ std::string faces_text(const FaceResults& faces) {
   };
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k)
-      add(fmt::format("s_{}{}", kAccelerometers[j], kAxes[k]),
+      add(std::string(kOutputSymbols[3 * j + k]),
           [&](const LineResult& line) -> const Quantity& { return line.sensitivity_matrix[j][k]; });
   }
   for (std::size_t j = 0; j < 3; ++j)
-    add(fmt::format("O_{}", kAccelerometers[j]),
+    add(fmt::format("O_{}", kOutputNames[j]),
         [&](const LineResult& line) -> const Quantity& { return line.offset[j]; });
   return text;
 }
 
 }  // namespace
-
-std::vector<NamedQuantity> outputs(const CalibrationResult& result) {
-  std::vector<NamedQuantity> list;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      list.push_back({fmt::format("s_{}{}", kAccelerometers[j], kAxes[k]),
-                      result.sensitivity_matrix ? (*result.sensitivity_matrix)[j][k] : Quantity{}});
-    }
-  }
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("s_{}", kAccelerometers[j]), result.intrinsic_sensitivity[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("O_{}", kAccelerometers[j]), result.offset[j]});
-  return list;
-}
 
 bool own_coverage_factors(const CalibrationResult& result) {
   constexpr double kTold = 0.005;  // one that differs by less is printed as the common one
@@ -180,25 +154,14 @@ std::string value_with_uncertainty(const Quantity& q) {
 
 namespace {
 
-const char* heading_of(const std::string& output) {
-  if (output.starts_with("phi")) return "Intrinsic angle";
-  if (output.starts_with("O")) return "Zero-acceleration offset";
-  return output.size() == 4 ? "Sensitivity matrix (default orientation, LGCS)" : "Intrinsic sensitivity";
-}
-
 void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* stream) {
   // k of U = k u, for a coverage probability of 95.45 %.
   const bool with_k = own_coverage_factors(result);
   text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}{}\n", "quantity", "value", "std. unc.",
                       "type A", "type B", with_k ? "     k  " : "", "unit");
-  std::string_view last;
-  for (const auto& [name, quantity] : outputs(result)) {
-    if (!result.sensitivity_matrix && name.size() == 4 && name.starts_with("s_")) continue;
-    if (const std::string_view heading = heading_of(name); heading != last) {
-      text += emphasised(stream, Emphasis::kHeading, std::string(heading)) + "\n";
-      last = heading;
-    }
-    row(text, name, quantity, with_k);
+  for (const auto& [about, values] : found_groups(result, QuantityKind::kOutput)) {
+    text += emphasised(stream, Emphasis::kHeading, about.heading) + "\n";
+    for (const auto& [name, quantity] : values) row(text, name, quantity, with_k);
   }
   if (with_k) {
     text +=
@@ -214,7 +177,7 @@ void add_model_equation(std::string& text, const ModelEquation& equation) {
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t order = 0; order < 4; ++order) {
       if (const Quantity& k = equation.k[j][order]; std::isfinite(k.value))
-        row(text, fmt::format("K{}_{}", order, kAccelerometers[j]), k);
+        row(text, fmt::format("K{}_{}", order, kOutputNames[j]), k);
     }
   }
 }
@@ -250,7 +213,7 @@ void add_closures(std::string& text, const Diagnostics& d) {
       std::max_element(d.closures.begin(), d.closures.end(),
                        [&](const Closure& a, const Closure& b) { return in_units(a) < in_units(b); });
   text += fmt::format("Closures: largest {} of {} = {} {} ({:.1f} standard uncertainties)\n", worst->name,
-                      kAccelerometers[static_cast<std::size_t>(worst->accelerometer)],
+                      kOutputNames.at(static_cast<std::size_t>(worst->accelerometer)),
                       value_with_uncertainty(worst->value), worst->value.unit, in_units(*worst));
 }
 
@@ -297,8 +260,8 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
   if (result.faces) text += faces_text(*result.faces);
   if (result.published) text += published_text(*result.published);
   if (result.model_equation) add_model_equation(text, *result.model_equation);
-  if (result.joint) stage_errors(text, *result.joint);
-  if (result.joint && result.joint->motion) add_motion(text, *result.joint->motion);
+  if (result.joint) stage_errors(text, result);
+  if (result.joint && result.joint->motion) add_motion(text, result);
   if (result.norm) add_poses(text, *result.norm);
   if (!d.fits.empty()) add_fits(text, d, result.response_unit);
   if (!d.closures.empty()) add_closures(text, d);

@@ -105,7 +105,7 @@ Json difference_json(std::size_t i, std::size_t k, const IntrinsicComparison& co
   Json properties = Json::array();
   for (std::size_t p = 0; p < comparison.properties.size(); ++p) {
     const PropertyDifference& property = comparison.properties[p];
-    properties.push_back({{"name", kIntrinsicNames[p]},
+    properties.push_back({{"name", kIntrinsicSymbols[p]},
                           {"difference", json_number(property.difference)},
                           {"standard_uncertainty", json_number(property.standard_uncertainty)},
                           {"e_n", json_number(property.e_n)}});

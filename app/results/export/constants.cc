@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numbers>
 #include <stdexcept>
+#include <utility>
 
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/plan/response_unit.h"
@@ -89,7 +90,7 @@ CorrectionMatrix correction_matrix(const Eigen::Matrix3d& S, double g_loc_mps2) 
   return correction;
 }
 
-Eigen::Matrix3d CorrectionConstants::u_M() const {
+Eigen::Matrix3d CorrectionConstants::u_matrix() const {
   return Eigen::Matrix3d::NullaryExpr([&](Eigen::Index i, Eigen::Index j) {
     return std::sqrt(std::max(0.0, covariance(3 * i + j, 3 * i + j)));
   });
@@ -153,6 +154,8 @@ CorrectionConstants constants_of(const CalibrationResult& result, ExportFrame fr
   }
   constants.source = fmt::format("{}, {} estimator", result.source, result.estimator);
   constants.verdict = to_string(result.verdict);
+  for (NamedQuantity& output : outputs(result))
+    if (std::isfinite(output.quantity.value)) constants.outputs.push_back(std::move(output));
   return constants;
 }
 

@@ -3,8 +3,10 @@
 #include <Eigen/Core>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/quantities/quantity_groups.h"
 
 namespace abcal {
 
@@ -47,6 +49,8 @@ struct CorrectionConstants {
   std::optional<ReadingNoise> noise;
   std::optional<double> full_scale;  ///< Largest magnitude of a reading; response unit.
 
+  std::vector<NamedQuantity> outputs;  ///< Every output of the result, sensitivities per g_loc.
+
   // For the heading of a file.
   std::string item;       ///< Maker, model, serial number.
   std::string source;     ///< Run file and estimator.
@@ -54,7 +58,7 @@ struct CorrectionConstants {
   std::string verdict;    ///< "usable"
 
   /// Standard uncertainties of the elements of M, and of b.
-  Eigen::Matrix3d u_M() const;
+  Eigen::Matrix3d u_matrix() const;
   Eigen::Vector3d u_b() const;
   /// M and b for a reader of m/s2: dimensionless and m/s2.
   /// @throws std::invalid_argument where the output is no acceleration

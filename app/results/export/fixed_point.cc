@@ -29,7 +29,7 @@ std::int32_t rounded(double value, int shift) {
 double least_uncertainty(const CorrectionConstants& c, const Eigen::Matrix3d& response_at_g) {
   double least = std::numeric_limits<double>::infinity();
   for (Eigen::Index j = 0; j < 3; ++j) {
-    const Eigen::Vector3d of_M = c.u_M().row(j).transpose().cwiseProduct(response_at_g.col(j));
+    const Eigen::Vector3d of_M = c.u_matrix().row(j).transpose().cwiseProduct(response_at_g.col(j));
     const Eigen::Vector3d of_b = c.M.row(j).transpose().cwiseProduct(c.u_b());
     least = std::min(least, std::hypot(of_M.norm(), of_b.norm()));
   }

@@ -10,8 +10,10 @@
 #include <stdexcept>
 
 #include "app/ground/system/output.h"
+#include "app/results/estimates/result_json.h"
 #include "app/results/export/fixed_point.h"
 #include "app/results/export/mat_format.h"
+#include "drivers/text/letters.h"
 
 namespace abcal {
 namespace {
@@ -61,15 +63,21 @@ std::string as_json(const CorrectionConstants& c) {
       {"response_unit", c.response_unit},
       {"g_loc_mps2", c.g_loc_mps2},
       {"M",
-       {{"value", rows(c.M)}, {"standard_uncertainty", rows(c.u_M())}, {"unit", "m/s2 per response unit"}}},
+       {{"value", rows(c.M)},
+        {"standard_uncertainty", rows(c.u_matrix())},
+        {"unit", "m/s2 per response unit"}}},
       {"b", {{"value", list(c.b)}, {"standard_uncertainty", list(c.u_b())}, {"unit", "response unit"}}}};
   Json names = Json::array(), covariance = Json::array();
-  for (const char axis : std::string_view("xyz"))
-    for (const char output : std::string_view("uvw")) names.push_back(fmt::format("M_{}{}", axis, output));
-  for (const char output : std::string_view("uvw")) names.push_back(fmt::format("b_{}", output));
+  for (const char* axis : kPlatterAxes)
+    for (const char* output : kOutputNames) names.push_back(fmt::format("M_{}{}", axis, output));
+  for (const char* output : kOutputNames) names.push_back(fmt::format("b_{}", output));
   for (const auto& row : c.covariance.rowwise())
     covariance.push_back(std::vector<double>(row.begin(), row.end()));
   json["covariance"] = {{"of", std::move(names)}, {"value", std::move(covariance)}};
+  json["outputs"] = Json::object();
+  for (const auto& [name, q] : c.outputs)
+    json["outputs"][name] = {
+        {"value", q.value}, {"standard_uncertainty", json_number(q.standard_uncertainty)}, {"unit", q.unit}};
   if (c.noise) {
     json["noise"] = {{"density", c.noise->density},
                      {"unit", "response unit per root hertz"},
@@ -83,15 +91,16 @@ std::string as_csv(const CorrectionConstants& c) {
   std::string text = heading(c, "#");
   text += fmt::format("# a = M (r - b); r and b in {}, M in m/s2 per {}\n", c.response_unit, c.response_unit);
   text += "name,value,standard_uncertainty\n";
-  constexpr std::string_view kAxes = "xyz", kOutputs = "uvw";
   for (Eigen::Index j = 0; j < 3; ++j) {
     for (Eigen::Index k = 0; k < 3; ++k) {
-      text += fmt::format("M_{}{},{},{}\n", kAxes[static_cast<std::size_t>(j)],
-                          kOutputs[static_cast<std::size_t>(k)], c.M(j, k), c.u_M()(j, k));
+      text += fmt::format("M_{}{},{},{}\n", kPlatterAxes[static_cast<std::size_t>(j)],
+                          kOutputNames[static_cast<std::size_t>(k)], c.M(j, k), c.u_matrix()(j, k));
     }
   }
   for (Eigen::Index j = 0; j < 3; ++j)
-    text += fmt::format("b_{},{},{}\n", kOutputs[static_cast<std::size_t>(j)], c.b[j], c.u_b()[j]);
+    text += fmt::format("b_{},{},{}\n", kOutputNames[static_cast<std::size_t>(j)], c.b[j], c.u_b()[j]);
+  for (const auto& [name, q] : c.outputs)
+    text += fmt::format("{},{},{}\n", name, q.value, q.standard_uncertainty);
   return text;
 }
 

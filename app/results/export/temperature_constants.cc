@@ -14,13 +14,13 @@
 
 #include "app/ground/system/output.h"
 #include "app/results/export/constants.h"
+#include "drivers/text/letters.h"
 
 namespace abcal {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr std::string_view kAxes = "xyz", kOutputs = "uvw";
 constexpr std::size_t kFirstOffset = 6;
 
 double value_of(const std::vector<double>& coefficients, double d) {
@@ -155,14 +155,15 @@ std::string temperature_constants_csv(const TemperatureConstants& c) {
                      "name,n,coefficient,standard_uncertainty\n";
   for (std::size_t k = 0; k < c.M.size(); ++k)
     for (std::size_t n = 0; n < c.M[k].size(); ++n)
-      text += fmt::format("M_{}{},{},{},\n", kAxes[k / 3], kOutputs[k % 3], n, c.M[k][n]);
+      text += fmt::format("M_{}{},{},{},\n", kPlatterAxes[k / 3], kOutputNames[k % 3], n, c.M[k][n]);
   const auto add = [&](const std::string& name, const TemperaturePolynomial& p) {
     for (std::size_t n = 0; n < p.coefficient.size(); ++n) {
       const auto i = static_cast<Eigen::Index>(n);
       text += fmt::format("{},{},{},{}\n", name, n, p.coefficient[n], std::sqrt(p.covariance(i, i)));
     }
   };
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("b_{}", kOutputs[j]), c.outputs.at(kFirstOffset + j));
+  for (std::size_t j = 0; j < 3; ++j)
+    add(fmt::format("b_{}", kOutputNames[j]), c.outputs.at(kFirstOffset + j));
   for (std::size_t k = 0; k < kFirstOffset; ++k) add(c.outputs.at(k).name, c.outputs[k]);
   return text;
 }

@@ -22,13 +22,13 @@
 #include "app/results/report/run_figures.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/plan/limits.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 namespace {
 
-constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
 constexpr const char* kNotStated = "not stated";
 constexpr const char* kNone = "-";
 
@@ -272,13 +272,6 @@ Section method_section(const ReportData& data) {
 
 // --- Results -----------------------------------------------------------------------------------------------
 
-const char* group_of(const std::string& name) {
-  if (name.starts_with("phi")) return "Intrinsic angles";
-  if (name.starts_with("O")) return "Zero-acceleration offsets";
-  return name.size() == 4 ? "Sensitivity matrix (default orientation, local gravitational coordinate system)"
-                          : "Intrinsic sensitivities";
-}
-
 /// Value and expanded uncertainty to two digits of the latter (ILAC-P14).
 std::vector<std::string> result_row(const NamedQuantity& output) {
   const Quantity& q = output.quantity;
@@ -312,11 +305,12 @@ Section values_section(const ReportData& data) {
     table.columns[2].heading = "expanded unc. U";
     table.columns.push_back({"k", CellKind::kNumber});
   }
-  std::string group;
-  for (const NamedQuantity& output : outputs(result)) {
-    if (group != group_of(output.name)) table.rows.push_back({group = group_of(output.name)});
-    table.rows.push_back(result_row(output));
-    if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
+  for (const auto& [about, values] : found_groups(result, QuantityKind::kOutput)) {
+    table.rows.push_back({about.heading});
+    for (const NamedQuantity& output : values) {
+      table.rows.push_back(result_row(output));
+      if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
+    }
   }
   section.blocks.push_back(std::move(table));
   section.blocks.push_back(Paragraph{fmt::format(
@@ -395,7 +389,7 @@ Section estimators_section(const ReportData& data) {
 /// zero.
 DocumentTable check_table(std::string caption, const std::string& what, const std::string& unit) {
   DocumentTable table{std::move(caption), {{what, CellKind::kSymbol}}, {}};
-  for (const char output : kAccelerometers) {
+  for (const char* output : kOutputNames) {
     table.columns.push_back({fmt::format("output {} ({})", output, unit), CellKind::kNumber});
     table.columns.push_back({"in unc.", CellKind::kNumber});
   }
@@ -498,7 +492,7 @@ Section fits_section(const ReportData& data) {
   table.columns.push_back({"u of a harmonic", CellKind::kNumber});
   for (const FitDiagnostic& fit : result.diagnostics.fits) {
     std::vector<std::string> row{std::to_string(fit.experiment),
-                                 std::string(1, kAccelerometers[static_cast<std::size_t>(fit.accelerometer)]),
+                                 kOutputNames.at(static_cast<std::size_t>(fit.accelerometer)),
                                  std::to_string(fit.angles), formatted(fit.residual_rms, "{:.2e}")};
     double u = std::numeric_limits<double>::quiet_NaN();
     for (int order = 2; order <= 5; ++order) {
@@ -537,7 +531,7 @@ DocumentTable model_equation_table(const ModelEquation& equation) {
       const Quantity& k = equation.k[j][order];
       if (!std::isfinite(k.value)) continue;
       const int decimals = decimals_for(k.standard_uncertainty);
-      table.rows.push_back({fmt::format("K{}_{}", order, kAccelerometers[j]),
+      table.rows.push_back({fmt::format("K{}_{}", order, kOutputNames[j]),
                             with_decimals(k.value, decimals, true), two_digits(k.standard_uncertainty),
                             k.unit});
     }
@@ -555,22 +549,12 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
        {"standard unc. u", CellKind::kNumber},
        {"unit", CellKind::kUnit}},
       {}};
-  const auto add = [&](const std::string& name, const Quantity& q) {
-    if (!std::isfinite(q.value)) return;
-    table.rows.push_back({name, formatted(q.value, "{:+.3e}"), two_digits(q.standard_uncertainty), q.unit});
-  };
-  add("Zx", joint.alignment[0]);
-  add("Zy", joint.alignment[1]);
-  add("Xz", joint.alignment[2]);
-  add("d_2", joint.initial_turn_error[0]);
-  add("d_3", joint.initial_turn_error[1]);
-  for (std::size_t i = 0; joint.turn_error_face_2 && i < 3; ++i)
-    add(fmt::format("d_{}, face 2", i + 1), (*joint.turn_error_face_2)[i]);
-  add("F_X", joint.mean_step_error[0]);
-  add("F_Z", joint.mean_step_error[1]);
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("b_{}", kAccelerometers[j]), joint.drift[j]);
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k2_{}", kAccelerometers[j]), joint.k2[j]);
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k3_{}", kAccelerometers[j]), joint.k3[j]);
+  for (const QuantityKind kind : {QuantityKind::kStage, QuantityKind::kAccelerometer})
+    for (const auto& [about, values] : found_groups(result, kind))
+      for (const auto& [name, q] : values)
+        if (std::isfinite(q.value))
+          table.rows.push_back(
+              {name, formatted(q.value, "{:+.3e}"), two_digits(q.standard_uncertainty), q.unit});
   Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
   if (result.model_equation) section.blocks.push_back(model_equation_table(*result.model_equation));
   if (!joint.nonlinearity_fitted)
@@ -580,7 +564,8 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
 }
 
 /// The response at each rate of a run at constant rates, and what belongs to the turning.
-Section motion_section(const MotionResult& motion) {
+Section motion_section(const CalibrationResult& result) {
+  const MotionResult& motion = *result.joint->motion;
   DocumentTable responses{
       fmt::format("Amplitude relative to rest, and phase beyond that of a pure delay, each with its expanded "
                   "uncertainty U (k = {:g}). At rest the response is that of the result.",
@@ -603,9 +588,8 @@ Section motion_section(const MotionResult& motion) {
       const auto [amplitude, u_amplitude] = both(response.amplitude[j]);
       const auto [phase, u_phase] = both(response.phase);
       responses.rows.push_back({fmt::format("{:.4g}", response.rate_deg_per_s),
-                                fmt::format("{:.4f}", response.frequency_hz),
-                                std::string(1, kAccelerometers[j]), amplitude, u_amplitude,
-                                j == 0 ? phase : "", j == 0 ? u_phase : ""});
+                                fmt::format("{:.4f}", response.frequency_hz), kOutputNames[j], amplitude,
+                                u_amplitude, j == 0 ? phase : "", j == 0 ? u_phase : ""});
     }
   }
   DocumentTable others{"Delays, places of the elements, and offsets with the rate.",
@@ -614,22 +598,13 @@ Section motion_section(const MotionResult& motion) {
                         {"standard unc. u", CellKind::kNumber},
                         {"unit", CellKind::kUnit}},
                        {}};
-  const auto add = [&](const std::string& name, const Quantity& q) {
-    if (!std::isfinite(q.value)) return;
-    others.rows.push_back({name, with_decimals(q.value, decimals_for(q.standard_uncertainty), true),
-                           two_digits(q.standard_uncertainty), q.unit});
-  };
-  for (std::size_t j = 0; j < 3; ++j)
-    for (std::size_t k = 0; k < 3; ++k)
-      add(fmt::format("place of the element of {} along {}", kAccelerometers[j], "xyz"[k]),
-          motion.position[j][k]);
-  for (std::size_t i = 0; i < 2; ++i)
-    add(fmt::format("delay behind the encoder of {}", "XZ"[i]), motion.delay[i]);
-  for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("further delay of {}", kAccelerometers[j]), motion.delay_difference[j]);
-    add(fmt::format("offset of {} at 60 degrees/s", kAccelerometers[j]), motion.rate_offset[j]);
+  for (const auto& [about, values] : found_groups(result, QuantityKind::kMotion)) {
+    others.rows.push_back({capitalised(about.meaning)});
+    for (const auto& [name, q] : values)
+      if (std::isfinite(q.value))
+        others.rows.push_back({name, with_decimals(q.value, decimals_for(q.standard_uncertainty), true),
+                               two_digits(q.standard_uncertainty), q.unit});
   }
-  add("distance of the axes", motion.axes_distance);
   return {"Response at each rate", {std::move(responses), rate_response_figure(motion), std::move(others)}};
 }
 
@@ -836,7 +811,7 @@ Document calibration_document(const ReportData& data) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
         document.sections.push_back(stage_section(data.record, each));
       if (each.joint && each.joint->motion && each.verdict != Verdict::kNotUsable)
-        document.sections.push_back(motion_section(*each.joint->motion));
+        document.sections.push_back(motion_section(each));
     }
     if (data.is_one_of_several()) document.sections.push_back(tray_section(*data.all));
     if (data.budget) document.sections.push_back(budget_section(data));

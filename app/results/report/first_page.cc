@@ -11,12 +11,11 @@
 #include "app/results/report/mounting_figure.h"
 #include "app/results/report/run_figures.h"
 #include "protocol/plan/limits.h"
+#include "protocol/quantities/output_names.h"
+#include "protocol/quantities/quantity_groups.h"
 
 namespace abcal {
 namespace {
-
-constexpr std::array<const char*, 3> kOutputNames{"u", "v", "w"};
-constexpr std::array<const char*, 3> kAxisPairs{"uv", "vw", "wu"};
 
 /// "+1.002103 ± 0.000007": value and expanded uncertainty, to two digits of the latter (ILAC-P14).
 std::string value_and_u(const Quantity& q) {
@@ -54,8 +53,21 @@ DocumentTable intrinsic_table(const CalibrationResult& result) {
   table.caption_kind = CellKind::kUnit;
   for (std::size_t j = 0; j < 3; ++j)
     table.rows.push_back({fmt::format("s_{}", kOutputNames[j]), value_and_u(result.intrinsic_sensitivity[j]),
-                          fmt::format("phi_{}", kAxisPairs[j]), value_and_u(result.intrinsic_angle[j]),
+                          fmt::format("phi_{}", kOutputPairs[j]), value_and_u(result.intrinsic_angle[j]),
                           fmt::format("O_{}", kOutputNames[j]), value_and_u(result.offset[j])});
+  return table;
+}
+
+/// Outputs beyond those of the protocol; no rows: there are none.
+DocumentTable further_table(const CalibrationResult& result) {
+  DocumentTable table{"Further outputs, each ± U",
+                      {{"", CellKind::kSymbol}, {"value", CellKind::kNumber}, {"unit", CellKind::kUnit}},
+                      {}};
+  for (const auto& [about, values] : further_outputs(result)) {
+    table.rows.push_back({about.heading});
+    for (const auto& [name, quantity] : values)
+      table.rows.push_back({name, value_and_u(quantity), quantity.unit});
+  }
   return table;
 }
 
@@ -90,6 +102,8 @@ void add_result(const CalibrationResult& result, Section& section) {
   }
   if (result.sensitivity_matrix) section.blocks.push_back(matrix_table(result));
   section.blocks.push_back(intrinsic_table(result));
+  if (DocumentTable further = further_table(result); !further.rows.empty())
+    section.blocks.push_back(std::move(further));
 }
 
 }  // namespace

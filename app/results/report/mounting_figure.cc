@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "app/ground/document/gnuplot.h"
+#include "drivers/text/letters.h"
 
 namespace abcal {
 namespace {
@@ -24,7 +25,6 @@ constexpr double kPlatterRadius = 1.25, kArrow = 0.8, kLabelGap = 0.2;
 // Not grey: the page joins grey lines as those of a frame.
 constexpr const char* kDark = "#10324e";
 constexpr std::array<const char*, 3> kColours{"#D55E00", "#009E73", "#0072B2"};
-constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"}, kAxes{"x", "y", "z"};
 
 Eigen::Vector3d towards_eye() {
   return {std::cos(kElevation) * std::cos(kAzimuth), std::cos(kElevation) * std::sin(kAzimuth),
@@ -119,7 +119,7 @@ Figure mounting_figure(const Eigen::Matrix3d& directions, const MountingWords& w
   const auto draw_output = [&](Eigen::Index k) {
     const Eigen::Vector3d direction = directions.row(k).transpose();
     const auto at = static_cast<std::size_t>(k);
-    drawing.axis(seen(direction * kHalfEdge[at]), seen(direction * kArrow), kOutputs[at], kColours[at]);
+    drawing.axis(seen(direction * kHalfEdge[at]), seen(direction * kArrow), kOutputNames[at], kColours[at]);
   };
   const auto is_hidden = [&](Eigen::Index k) { return directions.row(k).dot(towards_eye()) < 0.0; };
   for (Eigen::Index k = 0; k < 3; ++k)
@@ -130,7 +130,7 @@ Figure mounting_figure(const Eigen::Matrix3d& directions, const MountingWords& w
   // The axes of the platter stand beside it, where u, v, w do not cover them.
   const Eigen::Vector2d origin(-2.5, -0.35);
   for (Eigen::Index k = 0; k < 3; ++k)
-    drawing.axis(origin, seen(Eigen::Vector3d::Unit(k)), kAxes[static_cast<std::size_t>(k)], kDark);
+    drawing.axis(origin, seen(Eigen::Vector3d::Unit(k)), kPlatterAxes[static_cast<std::size_t>(k)], kDark);
   drawing.label(origin + seen(Eigen::Vector3d::UnitZ()) + Eigen::Vector2d(0.4, kLabelGap), words.up, kDark,
                 kSmall);
   drawing.label(seen({0.0, 0.0, -height}) + Eigen::Vector2d(1.75, -0.45), words.platter, kDark, kSmall);

@@ -11,6 +11,7 @@
 #include <stdexcept>
 
 #include "app/ground/system/output.h"
+#include "drivers/text/letters.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/record/limits_entries.h"
 
@@ -57,6 +58,8 @@ std::string comments(const ReportData& data, const std::string& what) {
     text += comment(fmt::format("alignment.{}", name), csv_number((*measured)->value)) +
             comment(fmt::format("alignment.u_{}", name), csv_number((*measured)->standard_uncertainty));
   }
+  if (record.axes_order) text += comment("protocol.axes_order", std::string(to_string(*record.axes_order)));
+  if (record.approach) text += comment("protocol.approach_deg", csv_number(record.approach->deg()));
   return text + comment("protocol.step_deg", csv_number(record.step.deg())) +
          comment("protocol.steps", std::to_string(record.steps)) +
          comment("continuations", std::to_string(record.continuations));
@@ -115,10 +118,9 @@ std::string averaged_rows(const ReportData& data, bool with_item, int& left_out)
 std::string check_pose_comments(const ReportData& data) {
   std::string text;
   if (const auto study = compared_check_poses(data.record)) {
-    constexpr std::string_view kOutputs = "uvw";
     const auto add = [&](const char* name, const std::array<PoseTrend, 3>& trends) {
       for (std::size_t j = 0; j < 3; ++j) {
-        const std::string key = fmt::format("check_poses.change_of_{}_{}", name, kOutputs[j]);
+        const std::string key = fmt::format("check_poses.change_of_{}_{}", name, kOutputNames[j]);
         text += comment(key, csv_number(trends[j].change)) +
                 comment(key + ".standard_uncertainty", csv_number(trends[j].standard_uncertainty));
       }

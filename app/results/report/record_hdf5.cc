@@ -19,6 +19,7 @@
 #include "app/results/estimates/result_text.h"
 #include "app/results/estimates/tray_results.h"
 #include "protocol/estimators/checks/check_poses.h"
+#include "protocol/quantities/quantity_groups.h"
 
 namespace abcal {
 namespace {
@@ -281,11 +282,12 @@ void put_readings(const Group& entry, const ReportData& data) {
 }
 
 /// Values, and their standard uncertainties as NAME_errors.
-void put_quantities(const Group& parent, const std::string& name, const std::vector<Quantity>& quantities,
-                    const Shape& shape, const std::string& long_name) {
+void put_quantities(const Group& parent, const std::string& name,
+                    const std::vector<NamedQuantity>& quantities, const Shape& shape,
+                    const std::string& long_name) {
   std::vector<double> values, errors;
   std::string unit;
-  for (const Quantity& q : quantities) {
+  for (const auto& [symbol, q] : quantities) {
     values.push_back(q.value);
     errors.push_back(q.standard_uncertainty);
     if (unit.empty()) unit = q.unit;
@@ -315,17 +317,12 @@ void put_result(const Group& entry, const CalibrationResult& result) {
   // The complete abcal.result/1, so that nothing is left out.
   put(made, "json", result_json(result).dump());
   if (result.verdict == Verdict::kNotUsable) return;
-  if (result.sensitivity_matrix) {
-    std::vector<Quantity> all;
-    for (const auto& row : *result.sensitivity_matrix) all.insert(all.end(), row.begin(), row.end());
-    put_quantities(made, "sensitivity_matrix", all, {3, 3}, "rows U, V, W; columns x, y, z");
+  for (const auto& [about, values] : found_groups(result)) {
+    const Shape shape = about.columns == 0   ? Shape{}
+                        : about.columns == 1 ? Shape{values.size()}
+                                             : Shape{values.size() / about.columns, about.columns};
+    put_quantities(made, about.key, values, shape, about.meaning);
   }
-  const auto triple = [](const std::array<Quantity, 3>& q) {
-    return std::vector<Quantity>(q.begin(), q.end());
-  };
-  put_quantities(made, "intrinsic_sensitivity", triple(result.intrinsic_sensitivity), {3}, "of U, V, W");
-  put_quantities(made, "intrinsic_angle", triple(result.intrinsic_angle), {3}, "between UV, VW, WU");
-  put_quantities(made, "offset", triple(result.offset), {3}, "zero-acceleration offset of U, V, W");
   put_covariance(made, "covariance", result.covariance, "s_ux s_uy s_uz s_vx ... s_wz O_u O_v O_w");
   put_covariance(made, "covariance_intrinsic", result.covariance_intrinsic,
                  "s_u s_v s_w phi_uv phi_vw phi_wu O_u O_v O_w");

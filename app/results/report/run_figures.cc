@@ -11,6 +11,7 @@
 
 #include "app/ground/document/gnuplot.h"
 #include "app/ground/document/number_text.h"
+#include "drivers/text/letters.h"
 #include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"
 
@@ -312,9 +313,8 @@ std::string panel_script(const DeviationPanel& panel, int number) {
 }  // namespace
 
 Figure deviation_figure(const CalibrationResult& result, std::optional<double> nominal) {
-  DeviationPanel s{nominal ? "s from nominal" : "s from their mean", "%", {"u", "v", "w"}},
-      phi{"angles from 90°", "°", {"uv", "vw", "wu"}},
-      offset{"offsets O", result.response_unit, {"u", "v", "w"}};
+  DeviationPanel s{nominal ? "s from nominal" : "s from their mean", "%", kOutputNames},
+      phi{"angles from 90°", "°", kOutputPairs}, offset{"offsets O", result.response_unit, kOutputNames};
   double mean = 0.0;
   for (const Quantity& q : result.intrinsic_sensitivity) mean += q.value / 3.0;
   const double ideal = nominal.value_or(mean);

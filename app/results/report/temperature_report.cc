@@ -9,6 +9,7 @@
 
 #include "app/ground/document/band_figure.h"
 #include "app/ground/system/version.h"
+#include "protocol/quantities/output_names.h"
 
 namespace abcal {
 namespace {
@@ -239,7 +240,7 @@ Json temperature_json(const TemperatureReport& report) {
             {"least_degc", result.least_degc},
             {"most_degc", result.most_degc},
             {"verdict", report.result.usable() ? "usable" : "doubtful"},
-            {"outputs", {"s_u", "s_v", "s_w", "phi_uv", "phi_vw", "phi_wu", "O_u", "O_v", "O_w"}},
+            {"outputs", kIntrinsicSymbols},
             {"points", Json::array()},
             {"polynomials", Json::array()},
             {"coefficients", Json::array()},

@@ -1,29 +1,23 @@
 #include "app/studies/constant_rate/constant_rate_study.h"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <filesystem>
-#include <memory>
 #include <numbers>
 #include <optional>
 #include <stdexcept>
+#include <utility>
 
 #include "app/studies/robustness/scenario.h"
+#include "app/studies/study/measured_run.h"
 #include "app/studies/study/parallel_trials.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
-#include "protocol/record/run_file.h"
-#include "protocol/run/experiment_run.h"
-#include "sim/sim_accelerometer.h"
 #include "sim/sim_bench.h"
-#include "sim/sim_clock.h"
-#include "sim/sim_stage.h"
 
 namespace abcal {
 namespace {
@@ -152,60 +146,12 @@ DrawnBench in_steps(const DrawnBench& swept, std::uint64_t seed, std::uint64_t b
   return out;
 }
 
-class NobodyWatches final : public RunObserver {
-  void phase(std::size_t /*position*/, RunPhase /*phase*/) override {}
-  void dwells(std::size_t /*position*/, std::span<const ItemDwell> /*dwells*/) override {}
-  void notice(std::string_view /*kind*/, std::string_view /*text*/, std::optional<int> /*item*/) override {}
-};
-
-/// A file that is gone with this.
-class PassingFile {
- public:
-  explicit PassingFile(std::uint64_t number)
-      : path_(std::filesystem::temp_directory_path() /
-              fmt::format("abcal-constant-rate-{}-{}.run", ::getpid(), number)) {
-    remove();
-  }
-  PassingFile(const PassingFile&) = delete;
-  PassingFile& operator=(const PassingFile&) = delete;
-  ~PassingFile() { remove(); }
-  const std::filesystem::path& path() const { return path_; }
-
- private:
-  void remove() const {
-    std::error_code ignored;
-    for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::remove(path_.string() + suffix, ignored);
-  }
-  std::filesystem::path path_;
-};
-
 RunRecord measured(const DrawnBench& bench, double reading_hz, std::uint64_t number, double& time_s) {
-  sim::SimClock clock;
-  const auto world = std::make_shared<sim::SimBench>(bench.truth, clock.now());
-  sim::SimStage stage(world, clock);
-  sim::SimAccelerometer accelerometer(world, clock, reading_hz, "R");
-  const std::array<AxisTravel, 2> travel{AxisTravel{bench.truth.x.travel_min, bench.truth.x.travel_max},
-                                         AxisTravel{bench.truth.z.travel_min, bench.truth.z.travel_max}};
-  RunHeader header;
-  header.tolerances = bench.sizes;
-  header.response_unit = "R";
-  header.step = bench.protocol.step;
-  header.steps = bench.protocol.steps;
-  header.approach = bench.protocol.approach;
-  header.plan = make_rotation_plan(bench.protocol, travel);
-  const PassingFile passing(number);
-  {
-    RunFile file = RunFile::create(passing.path(), header);
-    file.begin_session({clock.utc_now(), clock.now(), {}, {}, true});
-    const RunInstruments instruments{
-        .stage = stage, .clock = clock, .items = {{1, accelerometer, {}, bench.sizes, {}}}};
-    RunSettings settings;
-    settings.protocol = bench.protocol;
-    settings.tolerances = bench.sizes;
-    NobodyWatches nobody;
-    time_s = run_experiments(instruments, {header.plan, settings, {}}, file, nobody, {}).total_s();
-  }
-  return RunFile::load(passing.path()).record;
+  const StudyItem item{.truth = bench.truth, .sizes = bench.sizes, .reading_hz = reading_hz};
+  StudyBench study{bench.truth, bench.protocol, {item}};
+  MeasuredRecords run = measure_bench(study, number);
+  time_s = run.time_s;
+  return std::move(run.items.front());
 }
 
 void add_response(const MotionResult& motion, Trial& out) {

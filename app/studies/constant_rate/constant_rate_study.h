@@ -13,7 +13,8 @@ namespace abcal {
 
 struct ConstantRateOptions {
   int benches = 1000;  ///< For each design.
-  int pairs = 0;       ///< So many items of the first design are measured in steps too, on other benches.
+  int pairs = 0;       ///< Number of items of the first design that are also measured in steps, on other
+                       ///< benches.
   std::uint64_t seed = 1;
   int threads = 1;
   std::stop_token stop = {};

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 #include <stdexcept>
+#include <utility>
 
 #include "app/results/estimates/analyses.h"
 #include "app/studies/study/parallel_trials.h"
@@ -17,6 +18,7 @@ namespace abcal {
 namespace {
 
 constexpr std::size_t kOutputs = 18;  // s row by row, O, intrinsic s, phi
+constexpr double kPauseS = 1.0;       // between two motions to an angle
 constexpr double kNominal = 0.95;     // coverage probability of the intervals
 
 /// Errors and stated uncertainties of one result.
@@ -120,7 +122,7 @@ std::vector<std::string> ScenarioOutcome::shortfalls() const {
     list.push_back(fmt::format("usable {:.2f}, required {:.2f}", usable_share(), kLeastUsable));
   if (kind == ScenarioKind::kWrong && usable_share() > kMostUsableWhenWrong)
     list.push_back(fmt::format("usable {:.2f}, at most {:.2f} may be", usable_share(), kMostUsableWhenWrong));
-  // A handful of usable runs says nothing about the coverage of their intervals.
+  // A few usable runs do not show the coverage of their intervals.
   if (usable_share() <= kMostUsableWhenWrong) return list;
   for (std::size_t g = 0; g < kOutputGroups; ++g) {
     if (!(groups[g].coverage >= kLeastCoverage))
@@ -142,6 +144,8 @@ SimulatedRun simulate_run(const ScenarioBench& bench) {
   protocol.steps = bench.steps;
   protocol.step = record.step;
   protocol.faces = bench.faces;
+  record.axes_order = AxesOrder::kXThenZ;
+  record.approach = protocol.approach;
   protocol.check_poses = false;  // A violated assumption must show in the experiments themselves.
   const std::vector<PlannedAngle> plan = make_rotation_plan(protocol, {});
 
@@ -152,8 +156,15 @@ SimulatedRun simulate_run(const ScenarioBench& bench) {
     DwellRecord dwell = planned_dwell(angle);
     dwell.time_s = static_cast<double>(i) * bench.angle_period_s;
     const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
-    world.place(StageAxis::kX, angle.x, t);
-    world.place(StageAxis::kZ, angle.z, t);
+    // As in a run: X, then Z, each from below. The run begins at the present position of the stage.
+    const double pause_s = i == 0 ? 0.0 : kPauseS;
+    Clock::Instant at = t - from_seconds(4.0 * pause_s);
+    for (const auto& [axis, to] : {std::pair(StageAxis::kX, angle.x), {StageAxis::kZ, angle.z}}) {
+      if (to < world.commanded_angle(axis, at)) world.place(axis, to - protocol.approach, at);
+      at += from_seconds(pause_s);
+      world.place(axis, to, at);
+      at += from_seconds(pause_s);
+    }
     dwell.mean = world.output(t, i).value;
     if (bench.stated_noise > 0.0) dwell.u_mean = Eigen::Vector3d::Constant(bench.stated_noise);
     record.dwells.push_back(dwell);

@@ -33,8 +33,7 @@ struct RobustnessOptions {
 struct GroupCoverage {
   double coverage = std::numeric_limits<double>::quiet_NaN();   ///< Share of 95 % intervals with the truth.
   double rms_error = std::numeric_limits<double>::quiet_NaN();  ///< R/g_loc, R or degree.
-  double rms_u = std::numeric_limits<double>::quiet_NaN();      ///< Root mean square of the stated standard
-                                                                ///< uncertainties.
+  double rms_u = std::numeric_limits<double>::quiet_NaN();      ///< Root mean square of the stated u.
   double ratio() const { return rms_error / rms_u; }
 };
 

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "drivers/text/names.h"
 #include "protocol/uncertainty/normal_probability.h"
 #include "sim/counter_noise.h"
 
@@ -398,18 +399,13 @@ ScenarioBench sound_bench(ScenarioDraw& draw) {
   return b;
 }
 
+constexpr auto kKinds = names<ScenarioKind>(
+    {{ScenarioKind::kWithin, "within"}, {ScenarioKind::kBeyond, "beyond"}, {ScenarioKind::kWrong, "wrong"}});
+
 }  // namespace
 
 std::string_view to_string(ScenarioKind kind) {
-  switch (kind) {
-    case ScenarioKind::kWithin:
-      return "within";
-    case ScenarioKind::kBeyond:
-      return "beyond";
-    case ScenarioKind::kWrong:
-      break;
-  }
-  return "wrong";
+  return kKinds.of(kind, "wrong");
 }
 
 ScenarioDraw::ScenarioDraw(std::uint64_t seed, std::uint64_t scenario, std::uint64_t bench)

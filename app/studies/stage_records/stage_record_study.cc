@@ -42,7 +42,7 @@ constexpr std::array<Design, kStageExperiments> kDesigns{
 /// A run with its truth, as the fit of a series takes it.
 struct MeasuredRun {
   RunInformation information;
-  std::optional<sim::TrueLineResponse> truth;  ///< Without drift, as the item stands in this run.
+  std::optional<sim::TrueLineResponse> truth;  ///< Without drift, in the mounting of this run.
   double zero = 0.0;                           ///< Mean error of X over the angles of the frame (radian).
 };
 
@@ -348,9 +348,12 @@ std::vector<std::string> StageRecordStudy::contradictions() const {
 
 std::vector<std::string> StageRecordStudy::missed() const {
   std::vector<std::string> out;
+  // The figures of the design have two digits.
+  const auto two_digits = [](double value) { return std::stod(fmt::format("{:.1e}", value)); };
   for (const StageExperimentOutcome& outcome : outcomes)
     for (std::size_t g = 0; g < kStageGroups; ++g)
-      if (const ErrorGroup& group = outcome.groups[g]; group.limit > 0.0 && group.rms_u > group.limit)
+      if (const ErrorGroup& group = outcome.groups[g];
+          group.limit > 0.0 && two_digits(group.rms_u) > group.limit)
         out.push_back(fmt::format("{}, {}: u {:.2g}, figure {:.2g}", outcome.words, stage_group_names()[g],
                                   group.rms_u, group.limit));
   return out;

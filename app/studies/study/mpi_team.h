@@ -11,7 +11,7 @@ namespace abcal {
 /// @throws std::runtime_error if the MPI library cannot serve several threads.
 std::unique_ptr<MonteCarloTeam> mpi_team();
 
-/// Ends the processes of the team, as the others would wait for this one for ever. Says why on standard
+/// Ends the processes of the team, as the others would wait for this one without end. Reports why on standard
 /// error. Does nothing without a team; does not return with one.
 void abandon(MonteCarloTeam* team, const char* why, int exit_code);
 

@@ -11,7 +11,7 @@ struct ParallelTrials {
   int threads = 1;
   std::stop_token stop = {};
   std::function<void(int done, int planned)> progress = {};  ///< Called by one thread at a time.
-  int between = 8;                                           ///< Progress is told once for so many trials.
+  int between = 8;  ///< Number of trials between two reports of progress.
 };
 
 /// Takes the numbers 0 to count - 1, each once, on several threads. The first error that `work` throws is

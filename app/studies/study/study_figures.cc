@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <fstream>
 #include <stdexcept>
 
 #include "app/ground/document/gnuplot.h"
@@ -59,18 +58,7 @@ std::vector<std::filesystem::path> write_study_figures(const StudyResult& study,
     for (const auto& [ending, terminal] :
          {std::pair{"svg", "svg size 900,700 background 'white'"}, {"png", "pngcairo size 1200,930"}}) {
       const std::filesystem::path output = folder / fmt::format("figure{}.{}", figure, ending);
-      const std::filesystem::path script = folder / fmt::format("figure{}_{}.gp", figure, ending);
-      {
-        std::ofstream file(script);
-        file << figure_script(readings, figure != first, terminal, output.string());
-        if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", script.string()));
-      }
-      run_gnuplot(script);
-      std::error_code ignored;
-      std::filesystem::remove(script, ignored);
-      if (!std::filesystem::exists(output)) {
-        throw std::runtime_error(fmt::format("gnuplot wrote no {}", output.string()));
-      }
+      draw_file(figure_script(readings, figure != first, terminal, output.string()), output);
       written.push_back(output);
     }
   }

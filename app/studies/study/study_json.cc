@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/results/estimates/result_json.h"
+#include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
@@ -46,17 +47,9 @@ Json matrix(const Matrix& m) {
   return rows;
 }
 
-const char* method(IntervalMethod interval) {
-  switch (interval) {
-    case IntervalMethod::kNone:
-      return "none";
-    case IntervalMethod::kExact:
-      return "exact";
-    case IntervalMethod::kHistogram:
-      return "histogram";
-  }
-  return "none";
-}
+constexpr auto kMethods = names<IntervalMethod>({{IntervalMethod::kNone, "none"},
+                                                 {IntervalMethod::kExact, "exact"},
+                                                 {IntervalMethod::kHistogram, "histogram"}});
 
 void add_monte_carlo(Json& json, const MonteCarloResult& result) {
   json["trials"] = result.trials;
@@ -66,7 +59,7 @@ void add_monte_carlo(Json& json, const MonteCarloResult& result) {
   json["mean"] = groups(OutputVector(result.mean));
   json["standard_deviation"] = groups(OutputVector(result.standard_deviation));
   json["coverage_probability"] = result.coverage_probability;
-  json["interval_method"] = method(result.interval_method);
+  json["interval_method"] = kMethods.of(result.interval_method, "none");
   if (result.coverage.empty()) {
     json["coverage_interval"] = nullptr;
     json["shortest_coverage_interval"] = nullptr;

@@ -151,7 +151,7 @@ std::string csv_number(double value) {
 
 constexpr double kLeastShown = 0.001;  // Share of the variance: 0.1 %.
 
-/// An input without the number of its unknowns and without what stands in parentheses.
+/// An input without the number of its unknowns and without the text in parentheses.
 std::string name_alone(const std::string& input) {
   return input.substr(0, std::min(input.find(" ("), input.find(", ")));
 }
@@ -216,7 +216,7 @@ std::string validation_text(const RunUncertainty& study) {
   return text;
 }
 
-/// The joint result: what it states, and Monte Carlo beside it.
+/// The joint result: its statements, and Monte Carlo next to them.
 std::string joint_text(const RunUncertainty& study) {
   const JointComparison& joint = *study.joint;
   const MonteCarloResult& made = study.combined;

@@ -21,6 +21,7 @@
 #include "protocol/model/effects.h"
 #include "protocol/plan/limits.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -32,25 +33,13 @@ using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic>;
 constexpr std::size_t kMostChanges = 8;
 /// A larger lasting turn leaves errors beyond the usual limits when it is accounted for linearly.
 constexpr double kLargestLinearTurnDeg = 1.5;
-/// Below this fraction of its own information a change cannot be told from the other unknowns.
+/// Below this fraction of its own information a change cannot be distinguished from the other unknowns.
 constexpr double kUndetermined = 1e-8;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 /// Positions of the columns within the block of lasting changes.
 constexpr Eigen::Index kSlipColumn = 0, kAxisXColumn = 3, kOutputColumn = 4, kGainColumn = 7,
                        kLastingColumns = 10;
-
-Eigen::Matrix3d cross_product(const Eigen::Vector3d& v) {
-  Eigen::Matrix3d m;
-  m << 0.0, -v.z(), v.y(), v.z(), 0.0, -v.x(), -v.y(), v.x(), 0.0;
-  return m;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 bool lasts(ChangeKind kind) {
   return kind == ChangeKind::kSlip || kind == ChangeKind::kAxisX || kind == ChangeKind::kAxisZ ||
@@ -116,7 +105,7 @@ class LinearModel {
       by_step_.push_back(angles[i].by_step);
       const GravityAt gravity = fitted.gravity(i);
       Eigen::Matrix<double, 3, kLastingColumns> lasting;
-      lasting.middleCols<3>(kSlipColumn) = rows * cross_product(gravity.g);
+      lasting.middleCols<3>(kSlipColumn) = rows * cross_matrix(gravity.g);
       lasting.col(kAxisXColumn) = rows * gravity.by_input.col(kInputAngleX);
       lasting.middleCols<3>(kOutputColumn) = outputs();
       lasting.middleCols<3>(kGainColumn) = (rows * gravity.g).asDiagonal();
@@ -256,7 +245,7 @@ class LinearModel {
     Square own = Square::Zero();
     Eigen::MatrixXd taken = Eigen::MatrixXd::Zero(kLastingColumns, prior_weight_.size());
     Eigen::Matrix<double, kLastingColumns, 1> right = Eigen::Matrix<double, kLastingColumns, 1>::Zero();
-    for (std::size_t at = size(); at-- > 1;) {  // from angle 0 on it is no change
+    for (std::size_t at = size(); at-- > 1;) {  // from angle 0 on it is not a change
       const Eigen::Matrix<double, kLastingColumns, 3> whitened = (whiten_[at] * lasting_[at]).transpose();
       own += whitened * whitened.transpose();
       taken += product(whitened, taken_.middleRows<3>(row(at)));
@@ -414,7 +403,7 @@ void move_to_fit(const EffectModel& fitted, const std::set<std::size_t>& left_ou
 }
 
 /// Moves `model`, which has all readings, to the joint fit of those that are not left out.
-/// @return the white noise of the outputs, over the u of the readings; nothing: no convergence
+/// @return the white noise of the outputs, over the u of the readings; nullopt without convergence
 std::optional<Eigen::Vector3d> fit_without(const std::set<std::size_t>& left_out,
                                            const std::vector<EffectReading>& readings, EffectModel& model) {
   std::vector<EffectReading> used;
@@ -430,7 +419,7 @@ std::optional<Eigen::Vector3d> fit_without(const std::set<std::size_t>& left_out
   return model.options().white_known ? Eigen::Vector3d::Ones() : estimate_white(fitted).white;
 }
 
-/// Finds one change after the other, each accounted for before the next is looked for.
+/// Finds one change after the other, and accounts for each before it searches for the next.
 void find_changes(LinearModel& model, const RunRecord& record, ChangeScan& scan) {
   scan.found.clear();
   const double count = 3.0 * static_cast<double>(model.size());

@@ -62,7 +62,7 @@ struct ChangeScan {
 /// Searches for deviations from the joint model (stage errors within the tolerances, noise, drift and
 /// non-linearity), and for the single change at one angle that explains them best: for every kind and angle
 /// the fall of chi2 when the change is one more unknown (a generalised likelihood ratio; all of them are
-/// linear, so none needs a fit of its own). The best is accounted for, and the search goes on without it;
+/// linear, so none needs a fit of its own). The best is accounted for, and the search continues without it;
 /// angles found to be wrong for one dwell are then left out of the fit, and the search is repeated.
 ///
 /// A change is reported if chi2, in units of the remaining scatter, falls farther than in one of 1e6 sound

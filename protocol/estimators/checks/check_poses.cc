@@ -11,6 +11,7 @@
 #include <numbers>
 #include <utility>
 
+#include "drivers/text/letters.h"
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/run_time.h"
 #include "protocol/estimators/shared/unusable_data.h"
@@ -21,6 +22,7 @@
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/limits.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -29,7 +31,6 @@ namespace {
 constexpr int kMostPoseChanges = 6;
 /// Below this part of the largest eigenvalue a direction of a change is not determined.
 constexpr double kPoseUndetermined = 1e-9;
-constexpr std::array<const char*, 3> kOutputNames{"u", "v", "w"};
 
 /// One usable dwell at a check pose.
 struct CheckReading {
@@ -50,29 +51,23 @@ struct RoughOutputs {
 };
 
 std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
-  std::vector<Eigen::Vector3d> gravity, readings;
+  std::vector<const DwellRecord*> dwells;
   std::array<std::vector<double>, 3> u;
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.experiment < 1 || dwell.experiment > 3 || !dwell.mean.allFinite() || !dwell.u_mean ||
         !std::isfinite(dwell.alpha.rad()))
       continue;
-    const SinCos alpha = sincos(dwell.alpha);
-    gravity.push_back(gravity_alone(StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos),
-                                    StageInputs::Zero()));
-    readings.push_back(dwell.mean);
+    dwells.push_back(&dwell);
     for (std::size_t j = 0; j < 3; ++j) u[j].push_back((*dwell.u_mean)(static_cast<Eigen::Index>(j)));
   }
-  if (readings.size() < 5) return std::nullopt;
-  const KnownAcsFit fit = linear_fit_given_acs(gravity, readings);
+  if (dwells.size() < 5) return std::nullopt;
+  const KnownAcsFit fit = linear_fit_on_perfect_stage(dwells);
   RoughOutputs out;
   out.unit = fit.sensitivity_matrix.rowwise().norm();
   if (!(out.unit.minCoeff() > 0.0)) return std::nullopt;
   out.rows = scaled_rows(out.unit.cwiseInverse(), fit.sensitivity_matrix);
-  for (std::size_t j = 0; j < 3; ++j) {
-    const auto middle = u[j].begin() + static_cast<std::ptrdiff_t>(u[j].size() / 2);
-    std::nth_element(u[j].begin(), middle, u[j].end());
-    out.usual_u(static_cast<Eigen::Index>(j)) = *middle / out.unit(static_cast<Eigen::Index>(j));
-  }
+  for (std::size_t j = 0; j < 3; ++j)
+    out.usual_u(static_cast<Eigen::Index>(j)) = median(u[j]) / out.unit(static_cast<Eigen::Index>(j));
   return out;
 }
 
@@ -294,7 +289,7 @@ class PoseProblem {
   static std::string name_of_change(const PoseChange& change) {
     if (change.kind == PoseChangeKind::kTurn) return "a turn of the accelerometer or of an axis";
     return fmt::format("the {} of {}", change.kind == PoseChangeKind::kGain ? "gain" : "offset",
-                       kOutputNames[static_cast<std::size_t>(change.accelerometer)]);
+                       kOutputNames[change.accelerometer]);
   }
 
  private:
@@ -370,10 +365,6 @@ class PoseProblem {
 
 // ---- Words -----------------------------------------------------------------------------------------------
 
-std::string dwell_words(const DwellRecord& dwell) {
-  return fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
-}
-
 /// "between the check poses of two visits, those at the start and those before experiment 2, alpha = 0 ...".
 std::string interval_words(const RunRecord& record, const CheckPoseStudy& study, std::size_t after_visit) {
   const auto visit_words = [&](const PoseVisit& visit) -> std::string {
@@ -423,6 +414,10 @@ Check trend_check(const CheckPoseStudy& study, PoseChangeKind kind, std::size_t 
 }
 
 }  // namespace
+
+std::string dwell_words(const DwellRecord& dwell) {
+  return fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
+}
 
 std::optional<CheckPoseStudy> study_check_poses(const RunRecord& record) {
   if (record.check_poses.size() < 2) return std::nullopt;

@@ -62,10 +62,10 @@ struct CheckPoseStudy {
 /// Compares the readings at the check poses between visits. The readings of one pose differ only by their
 /// noise, the errors of the stage at each return (step), the drifts of offset and sensitivity and the
 /// hysteresis within their stated sizes: all of these together are the covariance of the readings. A change
-/// in one of the intervals between visits is one more unknown; the one that makes chi2 fall farthest is
-/// accounted for, and the search goes on. The two poses are opposite, so that gain and offset can be
+/// in one of the intervals between visits is one more unknown; the one with the largest decrease of chi2 is
+/// accounted for, and the search continues. The two poses are opposite, so that gain and offset can be
 /// separated.
-/// @return nothing where there are fewer than two visits, or the readings carry no uncertainty
+/// @return nullopt if there are fewer than two visits, or if the readings have no uncertainty
 std::optional<CheckPoseStudy> study_check_poses(const RunRecord& record);
 
 /// As study_check_poses(), but returns nothing instead of throwing UnusableData.
@@ -74,5 +74,8 @@ std::optional<CheckPoseStudy> compared_check_poses(const RunRecord& record);
 /// The study as checks: one for the gain and one for the offset of each output. A change fails its check,
 /// which names it with size and place. Empty for a record without check poses.
 std::vector<Check> check_pose_checks(const RunRecord& record);
+
+/// "experiment 2, alpha = 35 degrees".
+std::string dwell_words(const DwellRecord& dwell);
 
 }  // namespace abcal

@@ -23,12 +23,6 @@ namespace {
 
 constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
 
-Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
-  Eigen::Matrix3d m;
-  m << 0.0, -v.z(), v.y(), v.z(), 0.0, -v.x(), -v.y(), v.x(), 0.0;
-  return m;
-}
-
 Eigen::Matrix<double, 9, 1> by_rows(const Eigen::Matrix3d& m) {
   Eigen::Matrix<double, 9, 1> elements;
   for (int j = 0; j < 3; ++j) elements.segment<3>(3 * j) = m.row(j).transpose();
@@ -87,7 +81,7 @@ IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covari
     if (!(variance > 1e-12 * (covariance_1(i, i) + covariance_2(i, i)))) {
       throw std::invalid_argument(
           fmt::format("comparison of {}: the difference has no uncertainty (variance {}); required: above 0",
-                      kIntrinsicNames[static_cast<std::size_t>(i)], variance));
+                      kIntrinsicSymbols[static_cast<std::size_t>(i)], variance));
     }
     PropertyDifference& property = comparison.properties[static_cast<std::size_t>(i)];
     property.difference = second(i) - first(i);

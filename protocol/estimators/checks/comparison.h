@@ -6,16 +6,13 @@
 #include <optional>
 
 #include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
 
 /// The nine properties that do not depend on mounting, in the order of Covariance9. NaN: not given.
 using IntrinsicValues = Eigen::Matrix<double, 9, 1>;
-
-/// "s_u", ... "phi_uv", ... "O_w", in the order of Covariance9.
-inline constexpr std::array<const char*, 9> kIntrinsicNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                                            "phi_wu", "O_u", "O_v", "O_w"};
 
 /// One of the nine properties of a result. @param i  0..8, in the order of Covariance9
 const Quantity& intrinsic_property(const CalibrationResult& result, Eigen::Index i);
@@ -43,8 +40,8 @@ struct IntrinsicComparison {
   std::optional<double> chi2_probability;        ///< P(chi2 >= found) if the two agree.
   double largest_e_n = 0.0;                      ///< Largest |E_n|.
   /// Probability of differences as large or larger, all properties together, if the two agree:
-  /// chi2_probability; where the covariances allow no chi2, that of the largest |E_n| of so many (Bonferroni,
-  /// at most 1). The verdict follows it, and no single E_n.
+  /// chi2_probability; where the covariances allow no chi2, that of the largest |E_n| among this number of
+  /// them (Bonferroni, at most 1). The verdict follows it, and no single E_n.
   double joint_probability = 0.0;
 
   bool agrees() const { return degrees_of_freedom > 0 && joint_probability >= kAgreementLevel; }

@@ -6,13 +6,14 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <numbers>
 #include <optional>
 #include <string>
 #include <utility>
 
+#include "drivers/text/letters.h"
+#include "drivers/text/names.h"
 #include "protocol/estimators/checks/change_scan.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/estimators/shared/objection.h"
@@ -22,37 +23,18 @@
 namespace abcal {
 namespace {
 
-constexpr std::array<char, 3> kOutputs{'u', 'v', 'w'};
-constexpr std::array<char, 3> kAxes{'x', 'y', 'z'};
 constexpr double kDegrees = 180.0 / std::numbers::pi;
-
-std::string place_of(const DwellRecord& dwell) {
-  return fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
-}
 
 // ---- Changes -------------------------------------------------------------------------------------------
 
-std::string_view name_of(ChangeKind kind) {
-  switch (kind) {
-    case ChangeKind::kSlip:
-      return "mounting slip";
-    case ChangeKind::kAxisX:
-      return "missed step of axis X";
-    case ChangeKind::kAxisZ:
-      return "missed step of axis Z";
-    case ChangeKind::kOutput:
-      return "jump of an output";
-    case ChangeKind::kGain:
-      return "change of a gain";
-    case ChangeKind::kAngle:
-      return "single angle";
-    case ChangeKind::kReading:
-      return "single output";
-    case ChangeKind::kReadings:
-      return "single readings";
-  }
-  return "";
-}
+constexpr auto kChangeNames = names<ChangeKind>({{ChangeKind::kSlip, "mounting slip"},
+                                                 {ChangeKind::kAxisX, "missed step of axis X"},
+                                                 {ChangeKind::kAxisZ, "missed step of axis Z"},
+                                                 {ChangeKind::kOutput, "jump of an output"},
+                                                 {ChangeKind::kGain, "change of a gain"},
+                                                 {ChangeKind::kAngle, "single angle"},
+                                                 {ChangeKind::kReading, "single output"},
+                                                 {ChangeKind::kReadings, "single readings"}});
 
 std::string_view unit_of(ChangeKind kind) {
   switch (kind) {
@@ -77,7 +59,7 @@ std::string outputs_as_before(const ChangeScan& scan, const Change& change) {
   for (int j = 0; j < 3; ++j) {
     if (change.accelerometer >= 0 && change.accelerometer != j) continue;
     const double noise = kFalseAlarmDeviate * std::hypot(u_before(j), u_here(j));
-    if (std::abs(here.mean(j) - before.mean(j)) <= noise) outputs += kOutputs[static_cast<std::size_t>(j)];
+    if (std::abs(here.mean(j) - before.mean(j)) <= noise) outputs += kOutputNames[j];
   }
   return outputs;
 }
@@ -110,7 +92,7 @@ std::string alternatives(const Change& change) {
         text += ", or one output was disturbed there";
         break;
       case ChangeKind::kReadings:
-        break;  // explains whatever another single change does
+        break;  // explains everything that another single change does
     }
   }
   return text;
@@ -119,7 +101,7 @@ std::string alternatives(const Change& change) {
 std::string words_of(const ChangeScan& scan, const Change& change, const RunRecord& record) {
   const DwellRecord& here = *scan.dwells[change.at];
   const auto between = [&] {
-    return fmt::format("between {} and {}", place_of(*scan.dwells[change.at - 1]), place_of(here));
+    return fmt::format("between {} and {}", dwell_words(*scan.dwells[change.at - 1]), dwell_words(here));
   };
   const std::string as_before = outputs_as_before(scan, change);
   const std::string others = alternatives(change);
@@ -136,23 +118,21 @@ std::string words_of(const ChangeScan& scan, const Change& change, const RunReco
     case ChangeKind::kAxisX:
       return fmt::format(
           "axis X is off by {:+.3f} degrees from {} on: a missed step that its encoder does not see{}",
-          change.size(0) * kDegrees, place_of(here), others);
+          change.size(0) * kDegrees, dwell_words(here), others);
     case ChangeKind::kAxisZ:
       return fmt::format(
           "axis Z is off by {:+.3f} degrees from {} on: a missed step that its encoder does not see, or the "
           "accelerometer slipped on the platter about z{}",
-          change.size(0) * kDegrees, place_of(here), others);
+          change.size(0) * kDegrees, dwell_words(here), others);
     case ChangeKind::kOutput:
-      return fmt::format("output {} jumped by {:.2g} {} {}{}",
-                         kOutputs[static_cast<std::size_t>(change.accelerometer)], change.size(0),
-                         record.response_unit, between(), others);
+      return fmt::format("output {} jumped by {:.2g} {} {}{}", kOutputNames[change.accelerometer],
+                         change.size(0), record.response_unit, between(), others);
     case ChangeKind::kGain:
       return fmt::format("the gain of output {} changed by {:+.4f} % {}{}",
-                         kOutputs[static_cast<std::size_t>(change.accelerometer)], 100.0 * change.size(0),
-                         between(), others);
+                         kOutputNames[change.accelerometer], 100.0 * change.size(0), between(), others);
     case ChangeKind::kAngle:
       return fmt::format(
-          "{}: the readings are those of an angle {:+.3f} degrees away{}{}", place_of(here),
+          "{}: the readings are those of an angle {:+.3f} degrees away{}{}", dwell_words(here),
           change.size(0) * kDegrees,
           as_before.size() == 3
               ? ", and as at the angle before: the outputs were stuck, or the axis did not move"
@@ -160,9 +140,9 @@ std::string words_of(const ChangeScan& scan, const Change& change, const RunReco
           others);
     case ChangeKind::kReading:
     case ChangeKind::kReadings: {
-      std::string text = place_of(here) + ": ";
+      std::string text = dwell_words(here) + ": ";
       text += change.kind == ChangeKind::kReading
-                  ? fmt::format("output {} is", kOutputs[static_cast<std::size_t>(change.accelerometer)])
+                  ? fmt::format("output {} is", kOutputNames[change.accelerometer])
                   : "the outputs are";
       text += fmt::format(" off by {:.2g} of the sensitivity", change.magnitude);
       if (as_before.empty()) return text + ": disturbed or stuck" + others;
@@ -176,7 +156,7 @@ std::string words_of(const ChangeScan& scan, const Change& change, const RunReco
 
 void check_changes(const RunRecord& record, const ChangeScan& scan, std::vector<Check>& checks) {
   for (const Change& change : scan.found) {
-    checks.push_back({std::string(name_of(change.kind)), change.magnitude, change.limit,
+    checks.push_back({std::string(kChangeNames.of(change.kind)), change.magnitude, change.limit,
                       std::string(unit_of(change.kind)), false, words_of(scan, change, record)});
   }
   if (scan.too_large) return;
@@ -184,7 +164,7 @@ void check_changes(const RunRecord& record, const ChangeScan& scan, std::vector<
     const bool named = std::any_of(scan.found.begin(), scan.found.end(),
                                    [&](const Change& found) { return found.kind == change.kind; });
     if (named) continue;
-    checks.push_back({std::string(name_of(change.kind)),
+    checks.push_back({std::string(kChangeNames.of(change.kind)),
                       change.magnitude,
                       change.limit,
                       std::string(unit_of(change.kind)),
@@ -205,19 +185,15 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
     const double drift = scan.drift(j) / s / shrinkage;
     const double noise = posterior / std::sqrt(shrinkage);
     const double within = std::hypot(limit, kFalseAlarmDeviate * noise);
-    Check check{fmt::format("drift of {}", kOutputs[static_cast<std::size_t>(j)]),
-                drift,
-                within,
-                "of the sensitivity, over the run",
-                true,
-                {}};
+    Check check{fmt::format("drift of {}", kOutputNames[j]), drift, within,
+                "of the sensitivity, over the run",          true,  {}};
     check.passed = std::abs(drift) <= within;
     if (!check.passed) {
       check.words = fmt::format(
           "output {} drifted by {:.2g} of its sensitivity over the run, {:.1f} times its tolerance: "
           "temperature, "
           "warm-up or supply",
-          kOutputs[static_cast<std::size_t>(j)], drift, std::abs(drift) / prior);
+          kOutputNames[j], drift, std::abs(drift) / prior);
     }
     checks.push_back(std::move(check));
   }
@@ -225,7 +201,7 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
 
 // ---- Stuck outputs -------------------------------------------------------------------------------------
 
-/// Names the output that the run saw frozen: the flag does not say which.
+/// Names the output that was frozen in the run, which the flag does not identify.
 void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
   constexpr std::size_t kMostNamed = 3;
   for (int j = 0; j < 3; ++j) {
@@ -236,13 +212,14 @@ void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
       const bool one_is_frozen = dwell->spread(j) == 0.0 && dwell->spread.maxCoeff() > 0.0;
       if ((dwell->flags & kFlagStuck) == 0U || !one_is_frozen) continue;
       if (++frozen <= static_cast<int>(kMostNamed))
-        places.push_back(dwell->experiment > 0 ? place_of(*dwell) : fmt::format("check pose {}", dwell->n));
+        places.push_back(dwell->experiment > 0 ? dwell_words(*dwell)
+                                               : fmt::format("check pose {}", dwell->n));
     }
     if (frozen == 0) continue;
-    checks.push_back({fmt::format("stuck output {}", kOutputs[static_cast<std::size_t>(j)]),
-                      static_cast<double>(frozen), 0.0, "dwells", false,
-                      fmt::format("output {} was stuck: it did not change at all at {}{}",
-                                  kOutputs[static_cast<std::size_t>(j)], fmt::join(places, "; "),
+    checks.push_back({fmt::format("stuck output {}", kOutputNames[j]), static_cast<double>(frozen), 0.0,
+                      "dwells", false,
+                      fmt::format("output {} was stuck: it did not change at all at {}{}", kOutputNames[j],
+                                  fmt::join(places, "; "),
                                   frozen > static_cast<int>(kMostNamed)
                                       ? fmt::format(" and {} more", frozen - static_cast<int>(kMostNamed))
                                       : "")});
@@ -279,7 +256,7 @@ void check_temperature(const RunRecord& record, std::vector<Check>& checks) {
     }
     check.words = fmt::format(
         "{}: {:.2f} degC, {:+.2f} from the first angle; required: within {:.2g} degC of it{}",
-        place_of(*worst), *worst->temperature_degc, *worst->temperature_degc - *first, allowed, range);
+        dwell_words(*worst), *worst->temperature_degc, *worst->temperature_degc - *first, allowed, range);
   }
   checks.push_back(std::move(check));
 }
@@ -353,7 +330,7 @@ void check_full_scale(const RunRecord& record, const Eigen::Vector3d& sensitivit
 std::string signed_axis(const Eigen::Vector3d& row) {
   Eigen::Index at = 0;
   row.cwiseAbs().maxCoeff(&at);
-  return fmt::format("{}{}", row(at) < 0.0 ? "-" : "+", kAxes[static_cast<std::size_t>(at)]);
+  return fmt::format("{}{}", row(at) < 0.0 ? "-" : "+", kPlatterAxes[at]);
 }
 
 /// Errors that turn the expected directions into those found; both are signed permutations.
@@ -374,11 +351,9 @@ std::string cause_of(const Eigen::Matrix3d& expected, const Eigen::Matrix3d& fou
     Eigen::Index from = 0;
     rows.row(j).cwiseAbs().maxCoeff(&from);
     const bool reversed = rows(j, from) < 0.0;
-    if (from == j && reversed)
-      outputs.push_back(fmt::format("{} is reversed", kOutputs[static_cast<std::size_t>(j)]));
+    if (from == j && reversed) outputs.push_back(fmt::format("{} is reversed", kOutputNames[j]));
     if (from != j) {
-      outputs.push_back(fmt::format("{} is {}{}", kOutputs[static_cast<std::size_t>(j)], reversed ? "-" : "",
-                                    kOutputs[static_cast<std::size_t>(from)]));
+      outputs.push_back(fmt::format("{} is {}{}", kOutputNames[j], reversed ? "-" : "", kOutputNames[from]));
     }
   }
   const bool swapped = rows.trace() != 0.0 && !rows.isDiagonal();

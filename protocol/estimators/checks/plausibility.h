@@ -13,7 +13,7 @@ std::vector<Check> check_record(const RunRecord& record);
 
 /// Enters the checks of the record in the result's diagnostics, with those of the result itself: directions
 /// of the outputs against the mounting (and sensitivities, where check_record() did not check them). A failed
-/// check makes a usable result doubtful and stands first in `why` and in the notes.
+/// check makes a usable result doubtful and is first in `why` and in the notes.
 void apply_checks(std::vector<Check> of_the_record, const RunRecord& record, CalibrationResult& result);
 
 }  // namespace abcal

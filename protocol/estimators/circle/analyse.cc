@@ -14,12 +14,14 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/letters.h"
 #include "protocol/estimators/circle/curvature_fit.h"
 #include "protocol/estimators/circle/diagnostics.h"
 #include "protocol/estimators/circle/first_order.h"
 #include "protocol/estimators/circle/harmonic_fit.h"
 #include "protocol/estimators/circle/sensitivity_matrix.h"
 #include "protocol/estimators/circle/two_faces.h"
+#include "protocol/estimators/shared/arrivals.h"
 #include "protocol/estimators/shared/flagged_angles.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/run_time.h"
@@ -33,7 +35,6 @@ namespace abcal {
 
 namespace {
 
-constexpr std::array<char, 3> kAccelerometerNames{'u', 'v', 'w'};
 constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + five harmonics
 
 using Covariance27 = Eigen::Matrix<double, 27, 27>;
@@ -380,7 +381,7 @@ double with_larger_type_a(const Quantity& quantity, double factor) {
 
 // True if the value exceeds its uncertainty and the rounding of numbers of this size. Where type A rests on
 // few residuals its share of the limit is that of Student's distribution: 20 standard uncertainties for 6.
-// (Effective degrees of freedom are no substitute: a type A that is small by chance makes them large.)
+// (Effective degrees of freedom are not a substitute: a type A that is small by chance makes them large.)
 bool contradicts_zero(const Quantity& quantity, double degrees_of_type_a, double scale) {
   Quantity of_type_a;
   of_type_a.degrees_of_freedom = degrees_of_type_a;
@@ -521,7 +522,7 @@ void fill_closures(const Estimate& estimate, CalibrationResult& result, Objectio
       Closure closure{kClosureNames[name], static_cast<int>(j),
                       quantity(values(i), a, variances.b(0), result.response_unit)};
       if (contradicts_zero(closure.value, degrees_of_readings(estimate, j), response_scale(estimate, j))) {
-        objections.add(fmt::format("closure {} of {} is {}", closure.name, kAccelerometerNames[j],
+        objections.add(fmt::format("closure {} of {} is {}", closure.name, kOutputNames[j],
                                    times_uncertainty(closure.value)));
       }
       result.diagnostics.closures.push_back(std::move(closure));
@@ -569,9 +570,9 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
             closing->experiment, static_cast<int>(j),
             quantity(closing->mean(row) - first.mean(row), a, b, result.response_unit)};
         if (contradicts_zero(difference.value, degrees, response_scale(estimate, j))) {
-          objections.add(fmt::format(
-              "experiment {}: {} at the closing angle differs from the first angle by {} (drift)",
-              difference.experiment, kAccelerometerNames[j], times_uncertainty(difference.value)));
+          objections.add(
+              fmt::format("experiment {}: {} at the closing angle differs from the first angle by {} (drift)",
+                          difference.experiment, kOutputNames[j], times_uncertainty(difference.value)));
         }
         result.diagnostics.closing_differences.push_back(std::move(difference));
       }
@@ -600,7 +601,7 @@ void fill_faces(const RunRecord& record, const Selection& selection, const Estim
       if (!contradicts_zero(difference, degrees_of_readings(estimate, j), response_scale(estimate, j)))
         continue;
       objections.add(fmt::format("{} of face 1 and of face 2 differ by {} (the stage)",
-                                 fmt::format(fmt::runtime(kNames[i]), kAccelerometerNames[j]),
+                                 fmt::format(fmt::runtime(kNames[i]), kOutputNames[j]),
                                  times_uncertainty(difference)));
     }
   }
@@ -650,7 +651,7 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
         "experiment {}: harmonic {} of {} has an amplitude of {:.3g} {}, beyond its uncertainty "
         "(non-linearity or "
         "synchronous step errors)",
-        diagnostic.experiment, harmonic.order, kAccelerometerNames[j], amplitude, result.response_unit);
+        diagnostic.experiment, harmonic.order, kOutputNames[j], amplitude, result.response_unit);
     // Errors of the result for a non-linearity of this size (docs/theory/uncertainty.md): K2/2 is the second
     // harmonic and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within
     // the stated uncertainty (k = 2) they only cause a note.
@@ -704,7 +705,7 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
       objections.add(
           fmt::format("experiment {}: the residuals of {} are {:.3g} {} rms where {:.3g} is explained by "
                       "noise and tolerances",
-                      series.experiment, kAccelerometerNames[j],
+                      series.experiment, kOutputNames[j],
                       std::sqrt(cleaned.residuals.squaredNorm() / static_cast<double>(diagnostic.angles)),
                       result.response_unit, test.expected_rms));
     }
@@ -798,10 +799,18 @@ std::string refusal(const RunRecord& record, const Selection& selection) {
   return {};
 }
 
+/// "4 + 4 + 4"
+std::string angles_of_experiments(const Selection& selection) {
+  std::array<int, 3> angles{};
+  for (const DwellRecord* dwell : selection.dwells)
+    ++angles.at(static_cast<std::size_t>(dwell->experiment) - 1);
+  return fmt::format("{}", fmt::join(angles, " + "));
+}
+
 void judge_effects(const RunRecord& record, const Estimate& estimate, CalibrationResult& result,
                    Objections& objections) {
   const Eigen::Vector3d unit = sensitivity_matrix_of(estimate.outputs).rowwise().norm();
-  for (const Undetermined& outputs : undetermined_outputs(estimate.shares, *result.covariance, unit,
+  for (const Undetermined& outputs : undetermined_outputs(judged_outputs(result, estimate.shares, unit),
                                                           record.tolerances, EffectsAre::kStated)) {
     if (outputs.doubtful) {
       objections.add(outputs.words);
@@ -836,7 +845,7 @@ std::string dead_output(const Estimate& estimate) {
     if (!(response > std::max(kContradictionLevel * type_a, round_off))) {
       return fmt::format(
           "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
-          kAccelerometerNames[static_cast<std::size_t>(j)], response);
+          kOutputNames[j], response);
     }
   }
   return {};
@@ -849,7 +858,7 @@ std::string dead_or_flat(const AbcOutputs& outputs) {
     if (!(response > 1e-12 * std::abs(outputs(offset_index(j))))) {
       return fmt::format(
           "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
-          kAccelerometerNames[static_cast<std::size_t>(j)], response);
+          kOutputNames[j], response);
     }
   }
   return {};
@@ -964,8 +973,9 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
   AccelerometerModel accelerometer;
   accelerometer.sensitivity_matrix = sensitivity_matrix_of(estimate.outputs);
   accelerometer.offset = offset_of(estimate.outputs);
-  estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
-                                         record.tolerances, record.response_unit);
+  const std::vector<ReadingArrival> arrivals = arrivals_at(record, selection.dwells);
+  estimate.effects = first_order_effects({selection.dwells, selection.time_fractions, arrivals},
+                                         accelerometer, record.tolerances, record.response_unit);
   const auto curved = std::stable_partition(
       estimate.effects.begin(), estimate.effects.end(),
       [](const InputEffect& effect) { return effect.group != "k2" && effect.group != "k3"; });
@@ -1035,9 +1045,9 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   }
   result.verdict = Verdict::kUsable;
   result.why = fmt::format(
-      "{} angles in three experiments determine the result, and nothing found contradicts the stated "
+      "{} angles in three experiments ({}) determine the result, and nothing found contradicts the stated "
       "uncertainties",
-      selection.dwells.size());
+      selection.dwells.size(), angles_of_experiments(selection));
   return result;
 }
 

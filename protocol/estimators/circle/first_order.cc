@@ -24,16 +24,14 @@ struct EffectPlaces {
 };
 
 EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<const double> time_fractions,
-                       const Eigen::Matrix3d& s) {
+                       const Eigen::Matrix3d& s, const std::vector<Eigen::Vector3d>& signs) {
   EffectPlaces out;
   const Eigen::Matrix3d rows = s.rowwise().normalized();
   for (std::size_t i = 0; i < dwells.size(); ++i) {
     const SinCos alpha = sincos(dwells[i]->alpha);
     out.poses.push_back(StagePose::of(dwells[i]->experiment, dwells[i]->face, alpha.sin, alpha.cos));
     out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
-    ItemPoint point{time_fractions[i], rows * out.gravity.back().g, Eigen::Vector3d::Zero()};
-    if (i > 0) point.came_from = signs_of_change(out.points.back().y, point.y);
-    out.points.push_back(point);
+    out.points.push_back({time_fractions[i], rows * out.gravity.back().g, signs[i]});
   }
   return out;
 }
@@ -101,23 +99,49 @@ void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, cons
   }
 }
 
+/// Adds what the mean signs of the hysteresis leave unknown, reading by reading.
+/// @param sizes  those of the hysteresis of u, v, w (R)
+void add_unknown_signs(std::span<const DwellRecord* const> dwells, const std::vector<Eigen::Vector3d>& signs,
+                       const Eigen::Vector3d& sizes, const std::string& response_unit,
+                       std::vector<InputEffect>& effects) {
+  const auto entry = std::ranges::find(item_effects(), "hysteresis", &ItemEffect::key);
+  for (std::size_t k = 0; k < signs.size(); ++k) {
+    for (int j = 0; j < 3; ++j) {
+      InputEffect effect;
+      effect.name = fmt::format("{} {}, sign at f_{}({})", entry->name, "uvw"[j], dwells[k] -> experiment,
+                                dwells[k] -> n);
+      effect.group = entry->name;
+      effect.key = entry->key;
+      effect.unit = response_unit;
+      effect.standard_uncertainty = sizes(j) * std::sqrt(std::max(0.0, 1.0 - signs[k](j) * signs[k](j)));
+      effect.first_reading = k;
+      effect.effect.push_back(Eigen::Vector3d::Unit(j));
+      effects.push_back(std::move(effect));
+    }
+  }
+}
+
 }  // namespace
 
-std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
-                                             std::span<const double> time_fractions,
+std::vector<InputEffect> first_order_effects(const FirstOrderReadings& readings,
                                              const AccelerometerModel& accelerometer,
                                              const EffectSizes& sizes, const std::string& response_unit) {
-  if (dwells.size() != time_fractions.size()) {
+  const auto& [dwells, time_fractions, arrivals] = readings;
+  if (dwells.size() != time_fractions.size() || dwells.size() != arrivals.size()) {
     throw std::invalid_argument(
-        fmt::format("first-order effects: {} dwells, {} times; one of each is required", dwells.size(),
-                    time_fractions.size()));
+        fmt::format("first-order effects: {} dwells, {} times, {} arrivals; one of each is required",
+                    dwells.size(), time_fractions.size(), arrivals.size()));
   }
   const Eigen::Matrix3d& s = accelerometer.sensitivity_matrix;
-  const EffectPlaces places = places_of(dwells, time_fractions, s);
+  std::vector<Eigen::Vector3d> signs(dwells.size(), Eigen::Vector3d::Zero());
+  if (sizes.hysteresis > 0.0)
+    signs = signs_by_sizes({arrivals.begin(), arrivals.end()}, s.rowwise().normalized(), sizes);
+  const EffectPlaces places = places_of(dwells, time_fractions, s, signs);
   std::vector<InputEffect> effects;
   effects.reserve(150 + dwells.size());
   add_stage_effects(places, s, sizes, effects);
   add_item_effects(places, s, sizes, response_unit, effects);
+  add_unknown_signs(dwells, signs, sizes.hysteresis * s.rowwise().norm(), response_unit, effects);
   std::erase_if(effects, [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
   const double step = step_prior(sizes) / kRadianPerDegree;
   for (std::size_t k = 0; step > 0.0 && k < dwells.size(); ++k) {

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/model/arrival.h"
 #include "protocol/model/effects.h"
 #include "protocol/model/forward_model.h"
 #include "protocol/record/run_record.h"
@@ -30,14 +31,20 @@ struct InputEffect {
   int output = -1;  ///< 0, 1, 2 = u, v, w; -1: an effect of the stage.
 };
 
+/// Readings in use, in the order of the record, without closing angles: one of each for each reading.
+struct FirstOrderReadings {
+  std::span<const DwellRecord* const> dwells;
+  std::span<const double> time_fractions;    ///< -1/2 to 1/2 over the run.
+  std::span<const ReadingArrival> arrivals;  ///< The motions by which the stage reached them.
+};
+
 /// One effect for each unknown of protocol/model/effects.h whose size is above zero, and f_i(n) of every
 /// reading (each of two readings at the same angle has its own: the stage returned to it), at a perfect stage
 /// with the accelerometer as estimated.
-/// @param dwells          readings in use, in the order of the record; no closing angles
-/// @param time_fractions  their times, -1/2 .. 1/2 over the run
-/// @param accelerometer   estimated sensitivity matrix; its offset is not used
-std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
-                                             std::span<const double> time_fractions,
+/// The hysteresis acts with the mean sign of ArrivalSigns; where it is not certain, what is left is an input
+/// of this reading alone.
+/// @param accelerometer  estimated sensitivity matrix; its offset is not used
+std::vector<InputEffect> first_order_effects(const FirstOrderReadings& readings,
                                              const AccelerometerModel& accelerometer,
                                              const EffectSizes& sizes, const std::string& response_unit);
 

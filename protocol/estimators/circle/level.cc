@@ -210,7 +210,7 @@ XZero x_zero_from_reversal(std::span<const DwellRecord> dwells, const Eigen::Mat
   const Eigen::Vector3d right = weight.cwiseProduct(difference);
   const Eigen::Vector2d solution = qr.solve_vector(right);
   const double squares = (right - design * solution).squaredNorm();
-  // One degree of freedom is no estimate of the noise worth having, but the only one without u_mean.
+  // With one degree of freedom the estimate of the noise is poor, but without u_mean there is no other.
   const double factor = weighted ? std::max(1.0, squares) : squares;
   const Eigen::Matrix2d covariance = factor * covariance_of_root(qr.cofactor_root());
 

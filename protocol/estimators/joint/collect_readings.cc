@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "protocol/estimators/joint/swept_readings.h"
+#include "protocol/estimators/shared/arrivals.h"
 #include "protocol/estimators/shared/run_time.h"
 #include "protocol/estimators/shared/unusable_data.h"
 
@@ -18,9 +19,9 @@ namespace abcal {
 namespace {
 
 /// No reading is believed better than this times S_j: a noise-free record stays solvable (in double precision
-/// the normal matrix holds the priors down to about 1e-9), and no real accelerometer comes near.
+/// the normal matrix holds the priors down to about 1e-9), and every real accelerometer is far above.
 constexpr double kSmallestRelativeUncertainty = 1e-9;
-/// First guess of a noise that nobody stated, times S_j: the fit replaces it.
+/// First guess of a noise that was not stated, times S_j: the fit replaces it.
 constexpr double kGuessedRelativeUncertainty = 1e-5;
 
 /// S_j as the readings show it: half the range, good enough for a floor and a first guess of the noise.
@@ -41,11 +42,11 @@ std::pair<int, long long> pose_of(const DwellRecord& dwell) {
   return {dwell.experiment == 3 ? 1 : 0, std::llround(turn * 1e6) % 360'000'000LL};
 }
 
-/// In units of `step_deg`: so large that the angle of such a dwell tells nothing of the stage.
+/// In units of `step_deg`: so large that the angle of such a dwell contains no information on the stage.
 constexpr double kFreeStep = 100.0;
 
 /// Whether the step error of a dwell is drawn without regard to others. The axis repeats some unknown part of
-/// it where it comes again: at a closing angle that of the first angle, and at 0 degrees, where a map has its
+/// it where it returns: at a closing angle that of the first angle, and at 0 degrees, where a map has its
 /// zero, -F in every experiment.
 bool is_independent_step(const DwellRecord& dwell) {
   return !dwell.closing && pose_of(dwell).second != 0;
@@ -115,6 +116,8 @@ CollectedReadings collect_readings(const RunRecord& record, bool one_map_per_axi
     data.readings.push_back(reading);
     data.dwells.push_back(&dwell);
   }
+  const std::vector<ReadingArrival> arrivals = arrivals_at(record, data.dwells);
+  for (std::size_t i = 0; i < arrivals.size(); ++i) data.readings[i].arrival = arrivals[i].arrival;
   account_for_motion(data);
   if (data.readings.empty()) return data;
   data.u_known = all_known;

@@ -27,7 +27,7 @@ struct CollectedReadings {
 };
 
 /// In a run of two faces closing angles and angles of 0 degrees have step errors of any size (step_factor),
-/// so that they say nothing of where the axis has its mean zero.
+/// so that they do not determine the mean zero of the axis.
 /// @param one_map_per_axis  readings of one axis at one angle share a step error
 /// @throws UnusableData an experiment that is not 1, 2 or 3; a number that is not finite
 CollectedReadings collect_readings(const RunRecord& record, bool one_map_per_axis = false);

@@ -9,6 +9,7 @@
 
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/estimators/shared/noise_process.h"
+#include "protocol/model/arrival.h"
 #include "protocol/model/effects.h"
 #include "protocol/record/run_record.h"
 
@@ -29,8 +30,9 @@ struct EffectReading {
   double rate_radps = 0.0;
   double acceleration_radps2 = 0.0;
   double mean_rate_radps = 0.0;  ///< The mean over the sweep.
-  int sweep = -1;                ///< -1: it stands.
+  int sweep = -1;                ///< -1: at rest.
   double turned_rad = 0.0;       ///< Since the middle of the sweep.
+  Arrival arrival{};             ///< The motions by which the stage reached this angle.
 };
 
 /// Knowledge of the angles of one sweep, as standard deviations (radian).
@@ -84,8 +86,8 @@ struct SizeEvidence {
   std::string key;     ///< Key of the size; "step_deg, step_smooth_deg": both.
   double times = 0.0;  ///< Factor by which it is larger.
   /// Logarithm of the ratio of the readings' densities, each averaged over the noises. If the statement is
-  /// right the ratio exceeds 1/p with a probability below p, whatever the noise (Markov's inequality: its
-  /// mean is 1).
+  /// right the ratio exceeds 1/p with a probability below p for any noise (Markov's inequality: its mean is
+  /// 1).
   double log_ratio = 0.0;
 };
 
@@ -100,7 +102,7 @@ struct EffectFit {
   /// The measurand: s row by row and O of the line response, in R (R/g_loc).
   Eigen::Matrix<double, 12, 1> line = Eigen::Matrix<double, 12, 1>::Zero();
   Covariance12 covariance_line = Covariance12::Zero();
-  Covariance12 covariance_line_type_b = Covariance12::Zero();  ///< The part that comes from the priors.
+  Covariance12 covariance_line_type_b = Covariance12::Zero();  ///< The part due to the priors.
   std::vector<EffectShare> shares;                             ///< Contributions to covariance_line_type_b.
   Eigen::Matrix<double, 12, 1> degrees_of_freedom =
       Eigen::Matrix<double, 12, 1>::Constant(std::numeric_limits<double>::infinity());

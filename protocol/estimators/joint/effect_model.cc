@@ -14,7 +14,9 @@
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/reading_kernels.h"
 #include "protocol/estimators/shared/unusable_data.h"
+#include "protocol/linear/products.h"
 #include "protocol/plan/limits.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -33,12 +35,6 @@ void data_require(bool holds, const std::string& message) {
 
 std::string full_name(std::string_view effect, const std::string& which) {
   return fmt::format("{}{}{}", effect, which.empty() ? "" : ", ", which);
-}
-
-double median_of(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 Eigen::Matrix3d rows_of_line(const EffectLayout& layout, const Eigen::VectorXd& value) {
@@ -118,7 +114,7 @@ void EffectModel::check_readings() const {
   }
 }
 
-/// Alignment measured by other means. It is data, whatever size is stated.
+/// Alignment measured by other means. It is used even where the stated size is zero.
 const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effect) const {
   const MeasuredAlignment& alignment = options_.measured_alignment;
   if (effect == "Zx") return &alignment.zx;
@@ -154,7 +150,31 @@ void EffectModel::choose_unknowns() {
     for (const EffectReading& at : readings_) layout_.maps = std::max(layout_.maps, at.map + 1);
   }
   step_sd_ = layout_.maps > 0 ? 0.0 : step;
+  list_bending();
   layout_.sweeps = static_cast<int>(options_.sweeps.size());
+}
+
+/// Finds the effects whose share depends on the response. Others, such as drifts, are the same all around the
+/// circle.
+void EffectModel::list_bending() {
+  ItemPoint point;
+  point.t = 0.4;
+  point.y = Eigen::Vector3d(0.3, 0.5, 0.7);
+  bends_.assign(layout_.own.size(), 0);
+  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+    const EffectLayout::OwnUnknown& own = layout_.own[i];
+    if (own.effect->key == "sensitivity_drift") sensitivity_drift_ = static_cast<int>(i);
+    const ItemShare share = own.effect->share(point, 0, own.index);
+    if (own.effect->in_motion || (share.by_y == 0.0 && share.by_next == 0.0 && share.by_last == 0.0))
+      continue;
+    bending_.push_back(i);
+    bends_[i] = own.effect->kind != ItemEffectKind::kDrift;
+  }
+}
+
+double EffectModel::half_gain(double t, int output, const Eigen::VectorXd& value) const {
+  if (sensitivity_drift_ < 0) return 1.0;
+  return 1.0 + 0.5 * t * value(layout_.own_count() * output + EffectLayout::kOwnFixed + sensitivity_drift_);
 }
 
 EffectUnknown EffectModel::stage_unknown(const StageEffect& effect, int index) const {
@@ -230,6 +250,7 @@ void EffectModel::start_from_linear_fit() {
     values.push_back(at.value);
     for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
       shares_.push_back(of_stage.effect->share(poses_.back(), of_stage.index));
+    list_input_terms();
   }
   const KnownAcsFit start = linear_fit_given_acs(gravity, values);
   unit_ = options_.unit.value_or(start.sensitivity_matrix.rowwise().norm());
@@ -239,7 +260,7 @@ void EffectModel::start_from_linear_fit() {
                  fmt::format("accelerometer {} does not respond to gravity at all", "uvw"[j]));
     std::vector<double> u;
     for (const EffectReading& at : readings_) u.push_back(at.u(j) / unit_(j));
-    usual_u_(j) = median_of(std::move(u));
+    usual_u_(j) = median(std::move(u));
   }
   value_ = prior_mean_;
   for (int j = 0; j < 3; ++j) {
@@ -252,59 +273,150 @@ void EffectModel::start_from_linear_fit() {
   jacobian_.resize(residual_.size(), layout_.count());
 }
 
-/// First signs for the hysteresis: those of the linear solution.
+/// Lists the shares of the reading that was added last, without zeros.
+void EffectModel::list_input_terms() {
+  const auto count = static_cast<int>(layout_.stage.size());
+  const StageShare* shares = shares_.data() + shares_.size() - layout_.stage.size();
+  for (int k = 0; k < count; ++k) {
+    if (k == axes_distance_) continue;
+    if (shares[k].value != 0.0) input_terms_.push_back({shares[k].input, k, shares[k].value});
+    if (shares[k].second_value != 0.0)
+      input_terms_.push_back({shares[k].second_input, k, shares[k].second_value});
+  }
+  std::stable_sort(input_terms_.begin() + static_cast<std::ptrdiff_t>(first_term_.back()), input_terms_.end(),
+                   [](const InputTerm& a, const InputTerm& b) { return a.input < b.input; });
+  first_term_.push_back(input_terms_.size());
+}
+
+/// First signs for the hysteresis: those of the linear solution, on a stage that is known by the stated
+/// sizes.
 void EffectModel::find_signs() {
+  std::vector<ReadingArrival> arrivals;
+  for (const EffectReading& at : readings_) arrivals.push_back({at.experiment, at.face, at.arrival});
+  arrival_signs_ = ArrivalSigns(std::move(arrivals), turning_width(options_.sizes));
+  signs_.variance.assign(readings_.size(), Eigen::Vector3d::Zero());
   if (options_.signs) {
     signs_ = *options_.signs;
     return;
   }
-  signs_.mean = came_from_at(value_, step_);
-  signs_.variance.assign(readings_.size(), Eigen::Vector3d::Zero());
+  if (hysteresis_unknowns().empty()) {
+    signs_.mean = signs_.variance;
+    return;
+  }
+  Eigen::MatrixXd sizes = Eigen::MatrixXd::Zero(layout_.count(), layout_.count());
+  sizes.diagonal() = prior_weight_.unaryExpr([](double w) { return w > 0.0 ? 1.0 / std::sqrt(w) : 0.0; });
+  take_uncertainties_of_arrival(sizes);
+  use_signs(mean_signs_at(value_, step_), sizes);
 }
 
-bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
-  constexpr double kSame = 1e-3;
+void EffectModel::use_signs(std::vector<Eigen::Vector3d> mean, const Eigen::MatrixXd& covariance_root) {
   const std::vector<Eigen::Index> hysteresis = hysteresis_unknowns();
-  if (options_.signs || hysteresis.empty()) return false;
-  Eigen::VectorXd variance = times_upper(changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
-  for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const auto [from, to] = change_of(n);
-    if (from == to) continue;
-    variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
-        step_sd_ * step_sd_ * (by_step_[from].cwiseAbs2() + by_step_[to].cwiseAbs2());
-  }
-  variance += bends_at(value_, step_).cwiseAbs2() / 3.0;
-  u_change_ = variance.cwiseSqrt();
-  std::vector<Eigen::Vector3d> mean = mean_signs_at(value_, step_);
-  double largest = 0.0;
-  for (std::size_t n = 0; n < mean.size(); ++n)
-    largest = std::max(largest, (mean[n] - signs_.mean[n]).cwiseAbs().maxCoeff());
-  if (largest < kSame) return false;
   signs_.mean = std::move(mean);
   for (std::size_t j = 0; j < 3; ++j) {
     const Eigen::Index at = hysteresis[j];
     const double size2 = std::max(std::pow(unknowns_[static_cast<std::size_t>(at)].prior_sd, 2),
                                   std::pow(value_(at), 2) + covariance_root.row(at).squaredNorm());
     const auto output = static_cast<Eigen::Index>(j);
-    for (std::size_t n = 0; n < readings_.size(); ++n) {
-      if (const auto [from, to] = change_of(n); from == to) continue;
+    for (std::size_t n = 0; n < readings_.size(); ++n)
       signs_.variance[n](output) = size2 * (1.0 - std::pow(signs_.mean[n](output), 2));
-    }
   }
+}
+
+ArrivalSigns::Responses EffectModel::responses_at(const Eigen::VectorXd& value) const {
+  return [this, &value, rows = rows_of(value)](const StagePose& pose) -> Eigen::Vector3d {
+    return rows * gravity_alone(pose, inputs_on_the_way(pose, value));
+  };
+}
+
+StageInputs EffectModel::inputs_on_the_way(const StagePose& pose, const Eigen::VectorXd& value) const {
+  StageInputs inputs = StageInputs::Zero();
+  for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
+    const StageShare share = layout_.stage[k].effect->share(pose, layout_.stage[k].index);
+    const double p = value(layout_.first_stage() + static_cast<Eigen::Index>(k));
+    inputs(share.input) += share.value * p;
+    inputs(share.second_input) += share.second_value * p;
+  }
+  return inputs;
+}
+
+Eigen::RowVectorXd EffectModel::response_by_unknowns(const StagePose& pose, int output) const {
+  const GravityAt gravity = gravity_at(pose, inputs_on_the_way(pose, value_));
+  const Eigen::Matrix<double, 1, kStageInputs> by = rows().row(output) * gravity.by_input;
+  Eigen::RowVectorXd out = Eigen::RowVectorXd::Zero(layout_.count());
+  out.segment<3>(Eigen::Index{layout_.own_count()} * output) = gravity.g.transpose();
+  for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
+    const StageShare share = layout_.stage[k].effect->share(pose, layout_.stage[k].index);
+    out(layout_.first_stage() + static_cast<Eigen::Index>(k)) =
+        by(share.input) * share.value + by(share.second_input) * share.second_value;
+  }
+  return out;
+}
+
+void EffectModel::take_uncertainties_of_arrival(const Eigen::MatrixXd& covariance_root) {
+  const double step = step_prior(options_.sizes);
+  double stage = 2.0 * step * step;
+  for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
+    if (!of_stage.effect->in_motion) stage += std::pow(of_stage.effect->prior(options_.sizes), 2);
+  constexpr double kFar = 30.0;
+  const auto uncertainty = [&](const ResponseChange& change, int output) {
+    const Eigen::RowVectorXd by =
+        response_by_unknowns(change.to, output) - response_by_unknowns(change.from, output);
+    double variance = transposed_product_with_vector(covariance_root, by.transpose()).squaredNorm();
+    for (const StagePose* pose : {&change.to, &change.from}) {
+      const GravityAt gravity = gravity_at(*pose, StageInputs::Zero());
+      const double by_step =
+          rows().row(output).dot(gravity.by_input.col(moving_angle_input(pose->experiment)));
+      variance += step * step * by_step * by_step;
+    }
+    return std::sqrt(variance);
+  };
+  const ArrivalSigns::Responses responses = responses_at(value_);
+  arrival_signs_.find(responses);
+  arrival_signs_.take_uncertainties(responses, uncertainty, kFar * std::sqrt(stage));
+}
+
+bool EffectModel::take_signs(const Eigen::MatrixXd& covariance_root) {
+  constexpr double kSame = 1e-3;
+  const std::vector<Eigen::Index> hysteresis = hysteresis_unknowns();
+  if (options_.signs || hysteresis.empty()) return false;
+  take_uncertainties_of_arrival(covariance_root);
+  if (in_motion()) {
+    Eigen::VectorXd variance = times_upper(changes_by_unknowns(), covariance_root).rowwise().squaredNorm();
+    for (std::size_t n = 0; n < readings_.size(); ++n) {
+      const auto [from, to] = change_of(n);
+      if (from == to) continue;
+      variance.segment<3>(3 * static_cast<Eigen::Index>(n)) +=
+          step_sd_ * step_sd_ * (by_step_[from].cwiseAbs2() + by_step_[to].cwiseAbs2());
+    }
+    variance += bends_at(value_, step_).cwiseAbs2() / 3.0;
+    u_change_ = variance.cwiseSqrt();
+  }
+  std::vector<Eigen::Vector3d> mean = mean_signs_at(value_, step_);
+  double largest = 0.0;
+  for (std::size_t n = 0; n < mean.size(); ++n)
+    largest = std::max(largest, (mean[n] - signs_.mean[n]).cwiseAbs().maxCoeff());
+  if (largest < kSame) return false;
+  use_signs(std::move(mean), covariance_root);
   evaluate();
   return true;
 }
 
 std::vector<Eigen::Vector3d> EffectModel::mean_signs_at(const Eigen::VectorXd& value,
                                                         const std::vector<double>& steps) const {
-  if (u_change_.size() == 0) return came_from_at(value, steps);
+  std::vector<Eigen::Vector3d> out = arrival_signs_.mean(responses_at(value));
+  if (!in_motion()) return out;
   const Eigen::VectorXd change = changes_at(value, steps);
-  std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
   for (std::size_t n = 0; n < readings_.size(); ++n) {
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      const Eigen::Index row = 3 * static_cast<Eigen::Index>(n) + j;
-      if (change(row) != 0.0) out[n](j) = std::erf(change(row) / (std::numbers::sqrt2 * u_change_(row)));
+    if (readings_[n].sweep < 0) continue;
+    const Eigen::Index row = 3 * static_cast<Eigen::Index>(n);
+    if (u_change_.size() == 0) {
+      out[n] = signs_of_change(Eigen::Vector3d::Zero(), change.segment<3>(row));
+      continue;
     }
+    for (Eigen::Index j = 0; j < 3; ++j)
+      out[n](j) = change(row + j) == 0.0
+                      ? 0.0
+                      : std::erf(change(row + j) / (std::numbers::sqrt2 * u_change_(row + j)));
   }
   return out;
 }
@@ -325,7 +437,7 @@ std::pair<std::size_t, std::size_t> EffectModel::change_of(std::size_t n) const 
   const auto is_of_sweep = [&](std::size_t other) {
     return other < readings_.size() && readings_[other].sweep == readings_[n].sweep;
   };
-  if (readings_[n].sweep < 0) return {n > 0 ? n - 1 : n, n};
+  if (readings_[n].sweep < 0) return {n, n};
   return {n > 0 && is_of_sweep(n - 1) ? n - 1 : n, is_of_sweep(n + 1) ? n + 1 : n};
 }
 
@@ -380,17 +492,21 @@ Eigen::Matrix3d EffectModel::rows_of(const Eigen::VectorXd& value) const {
 StageInputs EffectModel::inputs_at(std::size_t n, const Eigen::VectorXd& value,
                                    const std::vector<double>& steps) const {
   StageInputs inputs = StageInputs::Zero();
-  const StageShare* shares = shares_.data() + n * layout_.stage.size();
-  const auto add = [&](const StageShare& share, int k) {
-    const double p = value(layout_.first_stage() + k);
-    inputs(share.input) += share.value * p;
-    inputs(share.second_input) += share.second_value * p;
-  };
-  for (int k = 0; k < static_cast<int>(layout_.stage.size()); ++k)
-    if (k != axes_distance_) add(shares[k], k);
-  if (axes_distance_ >= 0)
-    add(layout_.stage[static_cast<std::size_t>(axes_distance_)].effect->share(pose_at(n, value), 0),
-        axes_distance_);
+  const auto last = input_terms_.begin() + static_cast<std::ptrdiff_t>(first_term_[n + 1]);
+  for (auto term = input_terms_.begin() + static_cast<std::ptrdiff_t>(first_term_[n]); term != last;) {
+    const int input = term->input;
+    double sum = 0.0;
+    for (; term != last && term->input == input; ++term)
+      sum += term->value * value(layout_.first_stage() + term->unknown);
+    inputs(input) = sum;
+  }
+  if (axes_distance_ >= 0) {
+    const StageShare share =
+        layout_.stage[static_cast<std::size_t>(axes_distance_)].effect->share(pose_at(n, value), 0);
+    const double distance = value(layout_.first_stage() + axes_distance_);
+    inputs(share.input) += share.value * distance;
+    inputs(share.second_input) += share.second_value * distance;
+  }
   const int map = map_of(n);
   inputs(moving_angle_input(readings_[n].experiment)) +=
       map >= 0 ? value(layout_.first_map() + map) : steps[n] * readings_[n].step_factor;
@@ -440,12 +556,14 @@ EffectModel::ByMotion EffectModel::by_motion(const StagePose& pose, const Eigen:
 }
 
 std::vector<Eigen::Vector3d> EffectModel::came_from_at(const Eigen::VectorXd& value,
-                                                       const std::vector<double>& steps) const {
+                                                       const std::vector<double>& steps,
+                                                       SignRule rule) const {
+  std::vector<Eigen::Vector3d> out = arrival_signs_.of_one_item(responses_at(value), rule);
+  if (!in_motion()) return out;
   const Eigen::VectorXd change = changes_at(value, steps);
-  std::vector<Eigen::Vector3d> out;
   for (std::size_t n = 0; n < readings_.size(); ++n)
-    out.push_back(
-        signs_of_change(Eigen::Vector3d::Zero(), change.segment<3>(3 * static_cast<Eigen::Index>(n))));
+    if (readings_[n].sweep >= 0)
+      out[n] = signs_of_change(Eigen::Vector3d::Zero(), change.segment<3>(3 * static_cast<Eigen::Index>(n)));
   return out;
 }
 
@@ -463,14 +581,19 @@ Eigen::VectorXd EffectModel::readings_at(const Eigen::VectorXd& value, const std
     }
     ItemPoint point = point_at(n, pose_at(n, value), at_value, gravity, inputs);
     point.came_from = came_from[n];
-    const ItemPoint placed = placed_point(point, value);
+    const Eigen::Vector3d y = point.y;
+    if (point.rate_radps != 0.0) point = bent_point(placed_point(point, value), value);
     for (int j = 0; j < 3; ++j) {
       const int first = layout_.own_count() * j;
-      const ItemPoint bent = bent_point(placed, j, value);
-      double reading = point.y(j) + value(first + 3);
-      for (std::size_t i = 0; i < layout_.own.size(); ++i)
-        reading += layout_.own[i].effect->share(bent, j, layout_.own[i].index).value *
+      const double gain = half_gain(point.t, j, value), own = point.y(j);
+      double reading = y(j) + value(first + 3);
+      for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+        const double of_effect = bends_[i] != 0 ? gain : 1.0;
+        point.y(j) = of_effect * own;
+        reading += of_effect * layout_.own[i].effect->share(point, j, layout_.own[i].index).value *
                    value(first + EffectLayout::kOwnFixed + static_cast<int>(i));
+      }
+      point.y(j) = own;
       out(3 * static_cast<Eigen::Index>(n) + j) = reading;
     }
   }
@@ -488,24 +611,33 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   const ByMotion by_motion = readings_[n].sweep >= 0 ? this->by_motion(pose, rows) : ByMotion{};
   const Eigen::Matrix<double, 3, kStageInputs> by_input = rows * gravity.by_input;
 
-  const ItemPoint placed = placed_point(point, value_);
+  ItemPoint bent = bent_point(placed_point(point, value_), value_);
   At out;
   for (int j = 0; j < 3; ++j) {
     double* row = jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data();
     std::fill_n(row, layout_.count(), 0.0);
     const int first = layout_.own_count() * j;
-    const ItemPoint bent = bent_point(placed, j, value_);
     double reading = point.y(j) + value_(first + 3);
     Eigen::Vector3d slope = Eigen::Vector3d::Unit(j);  // by the linear responses of u, v, w
+    const double gain = half_gain(point.t, j, value_), own = bent.y(j);
+    double by_gain = 0.0;
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+      const bool bends = bends_[i] != 0;
+      const double of_effect = bends ? gain : 1.0;
+      bent.y(j) = of_effect * own;
       const ItemShare share = layout_.own[i].effect->share(bent, j, layout_.own[i].index);
       const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
-      reading += share.value * value_(column);
-      slope(j) += share.by_y * value_(column);
-      slope((j + 1) % 3) += share.by_next * value_(column);
-      slope((j + 2) % 3) += share.by_last * value_(column);
-      row[column] = share.value;
+      const double unknown = of_effect * value_(column);
+      reading += share.value * unknown;
+      if (bends) by_gain += (share.value + share.by_y * bent.y(j)) * value_(column);
+      slope(j) += of_effect * share.by_y * unknown;
+      slope((j + 1) % 3) += share.by_next * unknown;
+      slope((j + 2) % 3) += share.by_last * unknown;
+      row[column] = of_effect * share.value;
     }
+    bent.y(j) = own;
+    if (sensitivity_drift_ >= 0)
+      row[first + EffectLayout::kOwnFixed + sensitivity_drift_] += 0.5 * point.t * by_gain;
     const Eigen::Matrix<double, 1, kStageInputs> by = slope.transpose() * by_input;
     out.reading(j) = reading;
     out.by_step(j) = by(moving);
@@ -532,15 +664,13 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
   return out;
 }
 
-/// Sums up what all effects add to the linear response of an output but those of motion. Drifts are the same
-/// all around the circle.
+/// Sums up what the effects that bend a response add to the linear response of an output.
 double EffectModel::bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
   const int first = layout_.own_count() * output + EffectLayout::kOwnFixed;
   double sum = 0.0;
-  for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+  for (const std::size_t i : bending_) {
     const EffectLayout::OwnUnknown& own = layout_.own[i];
-    if (!own.effect->in_motion)
-      sum += own.effect->share(point, output, own.index).value * value(first + static_cast<int>(i));
+    sum += own.effect->share(point, output, own.index).value * value(first + static_cast<int>(i));
   }
   return sum;
 }
@@ -560,10 +690,10 @@ ItemPoint EffectModel::placed_point(const ItemPoint& point, const Eigen::VectorX
   return out;
 }
 
-/// The swing of an output with what its bends add. A filter takes the same share of all orders:
+/// The swings of the outputs with what their bends add. A filter takes the same share of all orders:
 /// account_for_motion() has taken back what it does to the higher ones beyond that.
 /// @param point  a placed_point()
-ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const {
+ItemPoint EffectModel::bent_point(const ItemPoint& point, const Eigen::VectorXd& value) const {
   ItemPoint out = point;
   if (point.rate_radps == 0.0) return out;
   // The mean over the turn from equal steps: exact for powers of y below their number.
@@ -577,12 +707,12 @@ ItemPoint EffectModel::bent_point(const ItemPoint& point, int output, const Eige
                                                              {0.0, -1.0},
                                                              {kHalf, -kHalf}}};
   ItemPoint at = point;
-  double mean = 0.0;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   for (const auto& [cos, sin] : kCosAndSin) {
     at.y = point.y + (cos - 1.0) * point.swing + sin * point.by_angle;
-    mean += bend_at(at, output, value) / kCosAndSin.size();
+    for (int j = 0; j < 3; ++j) mean(j) += bend_at(at, j, value) / kCosAndSin.size();
   }
-  out.swing(output) += bend_at(point, output, value) - mean;
+  for (int j = 0; j < 3; ++j) out.swing(j) += bend_at(point, j, value) - mean(j);
   return out;
 }
 

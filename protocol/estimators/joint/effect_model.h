@@ -25,7 +25,7 @@ struct EffectLayout {
     const ItemEffect* effect;
     int index;
   };
-  static constexpr int kOwnFixed = 4;  ///< s_jx, s_jy, s_jz, O_j come first among an output's own unknowns.
+  static constexpr int kOwnFixed = 4;  ///< s_jx, s_jy, s_jz, O_j are the first of an output's own unknowns.
 
   std::vector<OwnUnknown> own;
   std::vector<StageUnknown> stage;
@@ -70,7 +70,7 @@ class EffectModel {
   /// Moves to the point of another model of the same item, with other readings or fewer effects. Effects that
   /// `other` lacks are zero.
   void move_to(const EffectModel& other, std::vector<double> steps);
-  /// False: a stage axis is inclined more than is possible, so that the point is no solution.
+  /// False: a stage axis is inclined more than is possible, so that the point is not a solution.
   bool is_plausible() const;
   const ReadingRows& jacobian() const { return jacobian_; }
   /// 3 N: reading - model, with the eliminated step errors not in the model.
@@ -113,15 +113,15 @@ class EffectModel {
   ///         state the signs
   bool take_signs(const Eigen::MatrixXd& covariance_root);
   /// The mean signs (HysteresisSigns) at another point whose responses are known as well as where the signs
-  /// were taken. Before, and without hysteresis: as came_from_at() gives them.
+  /// were taken. Before, and without hysteresis: those of the stated sizes.
   std::vector<Eigen::Vector3d> mean_signs_at(const Eigen::VectorXd& value,
                                              const std::vector<double>& steps) const;
   /// Numbers of the unknowns of the hysteresis of u, v, w; empty: it is not fitted.
   std::vector<Eigen::Index> hysteresis_unknowns() const;
   /// The signs of the responses themselves at another point.
   /// @param steps  eliminated step error of each reading (radian)
-  std::vector<Eigen::Vector3d> came_from_at(const Eigen::VectorXd& value,
-                                            const std::vector<double>& steps) const;
+  std::vector<Eigen::Vector3d> came_from_at(const Eigen::VectorXd& value, const std::vector<double>& steps,
+                                            SignRule rule) const;
   /// Readings of the model at another point, without derivatives (3 N).
   /// @param came_from  signs for the hysteresis, or their means
   Eigen::VectorXd readings_at(const Eigen::VectorXd& value, const std::vector<double>& steps,
@@ -145,16 +145,29 @@ class EffectModel {
   /// Whether the stage turns at any of the readings.
   bool in_motion() const { return !options_.sweeps.empty(); }
   void list_sweeps();
+  void list_input_terms();
+  void list_bending();
+  /// By how much one half of the drift of an output's sensitivity has changed it at a time of the run. Which
+  /// half is before what bends the response (the element's) and which after it (the electronics') is not
+  /// known.
+  double half_gain(double t, int output, const Eigen::VectorXd& value) const;
   double bend_at(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
   ItemPoint placed_point(const ItemPoint& point, const Eigen::VectorXd& value) const;
-  ItemPoint bent_point(const ItemPoint& point, int output, const Eigen::VectorXd& value) const;
+  ItemPoint bent_point(const ItemPoint& point, const Eigen::VectorXd& value) const;
   ItemPoint point_at(std::size_t n, const StagePose& pose, const Eigen::Matrix3d& rows,
                      const GravityAt& gravity, const StageInputs& inputs) const;
   const std::optional<MeasuredValue>* measured(std::string_view effect) const;
   void start_from_linear_fit();
   void find_signs();
-  /// The two readings between which the response at reading `n` changes: the one before and itself; in a
-  /// sweep the two beside it, whose difference is that of the slope at its own angle. Equal: none.
+  /// Linear responses of the item at a value of the unknowns, at the stage's positions on its way.
+  ArrivalSigns::Responses responses_at(const Eigen::VectorXd& value) const;
+  StageInputs inputs_on_the_way(const StagePose& pose, const Eigen::VectorXd& value) const;
+  /// Derivatives of the response of an output by the unknowns at this point, of first order.
+  Eigen::RowVectorXd response_by_unknowns(const StagePose& pose, int output) const;
+  void take_uncertainties_of_arrival(const Eigen::MatrixXd& covariance_root);
+  void use_signs(std::vector<Eigen::Vector3d> mean, const Eigen::MatrixXd& covariance_root);
+  /// In a sweep, the two neighbours of reading `n`; the change of the response between them gives the slope
+  /// at its own angle. Both are equal if there is no change, as with a stage at rest.
   std::pair<std::size_t, std::size_t> change_of(std::size_t n) const;
   /// Relative linear responses of u, v, w (columns: the readings).
   Eigen::Matrix3Xd linear_responses_at(const Eigen::VectorXd& value, const std::vector<double>& steps) const;
@@ -186,14 +199,26 @@ class EffectModel {
   EffectLayout layout_;
   std::vector<EffectUnknown> unknowns_;
   std::vector<StagePose> poses_;
-  int axes_distance_ = -1;                 ///< Number of this unknown among those of the stage; -1: none.
-  std::vector<StageShare> shares_;         ///< Shares of the stage unknowns in reading 0, in reading 1, ...
-  std::vector<SweepShares> sweep_shares_;  ///< For each reading, in motion.
+  int axes_distance_ = -1;          ///< Number of this unknown among those of the stage; -1: none.
+  std::vector<StageShare> shares_;  ///< Shares of the stage unknowns in reading 0, in reading 1, ...
+  /// A share that is not zero, of an unknown that no motion changes.
+  struct InputTerm {
+    int input, unknown;
+    double value;
+  };
+  std::vector<InputTerm>
+      input_terms_;  ///< Those of reading 0, of reading 1, ..., each in the order of inputs.
+  std::vector<std::size_t> first_term_{0};  ///< One for each reading, and one for the end.
+  std::vector<std::size_t> bending_;        ///< Numbers in layout_.own.
+  std::vector<char> bends_;                 ///< For each of layout_.own: whether it is one of bending_.
+  int sensitivity_drift_ = -1;              ///< Number in layout_.own; -1: it is not fitted.
+  std::vector<SweepShares> sweep_shares_;   ///< For each reading, in motion.
   Eigen::Vector3d unit_;
   Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
   HysteresisSigns signs_;
-  Eigen::VectorXd
-      u_change_;  ///< Standard uncertainties of the changes where the signs were taken (3 N); or empty.
+  ArrivalSigns arrival_signs_;  ///< Those of the readings at rest.
+  Eigen::VectorXd u_change_;  ///< Standard uncertainties of the changes in sweeps where the signs were taken
+                              ///< (3 N); or empty.
   Eigen::VectorXd prior_weight_, prior_mean_;
   double step_sd_ = 0.0;
 

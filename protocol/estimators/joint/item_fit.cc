@@ -26,7 +26,7 @@ std::vector<std::string> outputs_that_never_change(const std::vector<EffectReadi
   return names;
 }
 
-/// The solution, or why there is none.
+/// The solution, or the reason for its absence.
 std::optional<EffectSolution> solve_or_reason(std::span<const EffectReading> readings,
                                               const EffectFitOptions& options, std::string& why) {
   try {
@@ -42,8 +42,8 @@ std::optional<EffectSolution> solve_or_reason(std::span<const EffectReading> rea
   return std::nullopt;
 }
 
-/// Noise from angle to angle of which the norm of the readings shows nothing is none of the outputs: it turns
-/// them alike, as errors of the stage do that are larger than stated. The fit without that noise says which.
+/// Noise from angle to angle that the norm of the readings does not show is not noise of the outputs: it
+/// turns them together, as stage errors larger than stated do. The fit without that noise shows which errors.
 std::vector<std::string> hidden_by_process(std::span<const EffectReading> readings, const EffectFit& fit,
                                            const EffectFitOptions& options, const JointTests& tests,
                                            const std::string& response_unit) {

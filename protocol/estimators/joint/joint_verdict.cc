@@ -223,7 +223,7 @@ std::string smaller_effects(const std::vector<EffectTest>& effects) {
   std::vector<const EffectTest*> smaller;
   for (const EffectTest& test : effects) {
     if (test.stated_zero || test.instead_of_noise || test.degrees_of_freedom < 1) continue;
-    // The delay is taken out of the angles before the fit: what is left of it tells nothing of its size.
+    // The delay is removed from the angles before the fit: the remainder contains no information on its size.
     if (test.key == "delay_s") continue;
     const double below = chi2_lower_tail(test.chi2, test.degrees_of_freedom);
     if (below < kLowChi2 / static_cast<double>(effects.size()) && test.times_stated > 0.0)
@@ -381,7 +381,7 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
                                 tests.norm_against_joint.why_not);
   if (std::string words = words_about_noise(fit, record); !words.empty())
     diagnostics.notes.push_back(std::move(words));
-  for (const Undetermined& outputs : undetermined_outputs(fit.shares, fit.covariance_line, fit.unit,
+  for (const Undetermined& outputs : undetermined_outputs(judged_outputs(result, fit.shares, fit.unit),
                                                           record.tolerances, EffectsAre::kEstimated))
     (outputs.doubtful ? contradictions : diagnostics.notes).push_back(outputs.words);
   if (!options.mean_step) {

@@ -137,6 +137,7 @@ AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise) {
 WhiteFound estimate_white(const EffectModel& model) {
   WhiteFound found;
   Eigen::Vector3d& white = found.white;
+  std::optional<WhiteFound> told;
   for (int pass = 0; pass < kWhitePasses; ++pass) {
     const AtNoise at = solve_at(model, {.white = white, .step_sd = model.step_sd()});
     // P = V^-1 - V^-1 J C J' V^-1: sums of its squared products with the noise of each output.
@@ -161,11 +162,14 @@ WhiteFound estimate_white(const EffectModel& model) {
       }
     }
     if (!(redundancy.minCoeff() >= 0.5)) {
+      // Readings whose hysteresis has no known sign contain no information on a smaller noise.
+      if (told) return *told;
       throw UnusableData(
           fmt::format("{} angles leave nothing to estimate the noise from; more angles or the uncertainties "
                       "of the readings are required",
                       angles.size()));
     }
+    told = found;
     const Eigen::Vector3d before = white;
     white = white.cwiseProduct(squares.cwiseQuotient(redundancy).cwiseSqrt()).cwiseMax(model.least_white());
     if ((white.cwiseQuotient(before).array() - 1.0).abs().maxCoeff() < kWhiteFound) break;

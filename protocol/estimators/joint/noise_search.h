@@ -48,7 +48,7 @@ struct WhiteFound {
 /// @throws UnusableData the readings leave nothing to estimate it from
 WhiteFound estimate_white(const EffectModel& model);
 
-/// The probable noises; white noise alone comes first, whatever its probability.
+/// The probable noises; white noise alone is first, even if it is improbable.
 struct NoiseSearch {
   WhiteFound white;
   std::vector<AtNoise> points;
@@ -88,7 +88,7 @@ struct ProbableNoise {
   double log_weight = 0.0;  ///< Logarithm of the posterior probability.
 };
 struct ProbableNoises {
-  std::vector<ProbableNoise> noises;  ///< White noise alone comes first, whatever its probability.
+  std::vector<ProbableNoise> noises;  ///< White noise alone is first, even if it is improbable.
   double log_evidence = 0.0;          ///< Evidence from all noises, on the scale of log_likelihood.
 };
 

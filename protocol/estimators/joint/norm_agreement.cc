@@ -4,7 +4,6 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -16,7 +15,9 @@
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -31,8 +32,6 @@ constexpr double kTestedShare = 0.05;
 /// directions, which hardly determine the angles between the axes.
 constexpr double kLargestSensitivityU = 1e-3;  // relative
 constexpr double kLargestAngleU = 0.1;         // degree
-constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                            "phi_wu", "O_u", "O_v", "O_w"};
 
 /// The model about the solution of the joint fit, at a perfect stage: errors of the stage would change the
 /// derivatives by their own size only, 1e-4.
@@ -43,13 +42,22 @@ class ModelReadings {
       : readings_(readings), fit_(fit), options_(options) {
     for (int j = 0; j < 3; ++j) line_.row(j) = fit.line.segment<3>(3 * j).transpose();
     rows_ = fit.unit.cwiseInverse().asDiagonal() * line_;
+    std::vector<ReadingArrival> arrivals;
     for (std::size_t n = 0; n < readings.size(); ++n) {
       poses_.push_back(StagePose::of(readings[n].experiment, readings[n].face, readings[n].sin_alpha,
                                      readings[n].cos_alpha));
       gravity_.push_back(gravity_at(poses_.back(), StageInputs::Zero()));
-      ItemPoint point{readings[n].t, rows_ * gravity_.back().g, Eigen::Vector3d::Zero()};
-      if (n > 0) point.came_from = signs_of_change(points_.back().y, point.y);
-      points_.push_back(point);
+      points_.push_back({readings[n].t, rows_ * gravity_.back().g, Eigen::Vector3d::Zero()});
+      arrivals.push_back({readings[n].experiment, readings[n].face, readings[n].arrival});
+      noise_.emplace_back(readings[n].u.cwiseProduct(fit.noise.white));
+    }
+    const double hysteresis = options.sizes.hysteresis;
+    if (!(hysteresis > 0.0)) return;
+    const std::vector<Eigen::Vector3d> signs = signs_by_sizes(std::move(arrivals), rows_, options.sizes);
+    for (std::size_t n = 0; n < readings.size(); ++n) {
+      points_[n].came_from = signs[n];
+      const Eigen::Array3d left = (1.0 - signs[n].array().square()).max(0.0);
+      noise_[n] = (noise_[n].array().square() + left * (hysteresis * fit.unit.array()).square()).sqrt();
     }
   }
 
@@ -59,8 +67,7 @@ class ModelReadings {
   std::vector<NormPose> poses(const Eigen::Vector3d& centre, double size) const {
     std::vector<NormPose> out;
     for (std::size_t n = 0; n < readings_.size(); ++n) {
-      out.push_back({(readings_[n].value - centre) / size,
-                     Eigen::Vector3d(readings_[n].u.cwiseProduct(fit_.noise.white) / size), readings_[n].t,
+      out.push_back({(readings_[n].value - centre) / size, Eigen::Vector3d(noise_[n] / size), readings_[n].t,
                      points_[n].came_from});
     }
     return out;
@@ -87,8 +94,7 @@ class ModelReadings {
 
   void add_noise(const NormGain& d, Covariance9& out) const {
     for (std::size_t n = 0; n < readings_.size(); ++n) {
-      const Eigen::Vector3d u = readings_[n].u.cwiseProduct(fit_.noise.white);
-      const Nine3 scaled = block(d, n) * u.asDiagonal();
+      const Nine3 scaled = block(d, n) * noise_[n].asDiagonal();
       out.noalias() += scaled * scaled.transpose();
     }
   }
@@ -100,9 +106,7 @@ class ModelReadings {
     for (int j = 0; j < 3; ++j) {
       std::vector<double> u;
       for (const EffectReading& at : readings_) u.push_back(at.u(j));
-      const auto middle = u.begin() + static_cast<std::ptrdiff_t>(u.size() / 2);
-      std::nth_element(u.begin(), middle, u.end());
-      const double variance = std::pow(fit_.noise.tau * *middle, 2);
+      const double variance = std::pow(fit_.noise.tau * median(std::move(u)), 2);
       Nine sum = Nine::Zero();
       for (std::size_t n = 0; n < readings_.size(); ++n) {
         const double distance =
@@ -180,6 +184,7 @@ class ModelReadings {
   std::vector<StagePose> poses_;
   std::vector<GravityAt> gravity_;
   std::vector<ItemPoint> points_;
+  std::vector<Eigen::Vector3d> noise_;  ///< R, with what the signs of the hysteresis leave unknown.
 };
 
 double autocorrelation_of(const NormSolution& norm) {
@@ -269,7 +274,7 @@ std::string words_of(const NormAgreement& test, const std::string& response_unit
     if (!(std::abs(test.difference(i)) > 3.0 * u)) continue;
     const std::string unit = i < 3 ? response_unit + "/g_loc" : i < 6 ? "degree" : response_unit;
     sizes.push_back(fmt::format("{} by {:+.2g} {} ({:.1f} times what the model explains)",
-                                kNames[static_cast<std::size_t>(i)], test.difference(i), unit,
+                                kIntrinsicSymbols[static_cast<std::size_t>(i)], test.difference(i), unit,
                                 std::abs(test.difference(i)) / u));
   }
   return fmt::format(

@@ -13,7 +13,7 @@ namespace {
 
 /// The alternative to a statement: a size this many times as large.
 constexpr double kTimes = 10.0;
-/// A direction of which the run tells less than this share of the prior's variance has no evidence.
+/// A direction whose variance the run reduces by less than this share of the prior's has no evidence.
 constexpr double kTold = 1e-9;
 
 /// The unknowns of one key.

@@ -18,7 +18,7 @@ class SumOfSquares {
   /// Makes the model linear at the present point and solves the normal equations N x = b for the next step.
   /// @param damping  relative addition to the diagonal of N; 0: the step of Gauss and Newton
   /// @param anew     true: compute N; false: the matrix of the step before may be used again
-  /// @return by how much the sum falls if the model is linear: b'x + damping x'diag(N)x; nothing if N cannot
+  /// @return by how much the sum falls if the model is linear: b'x + damping x'diag(N)x; nullopt if N cannot
   /// be solved
   virtual std::optional<double> solve_step(double damping, bool anew) = 0;
   /// Moves by the step that was solved for.

@@ -133,7 +133,7 @@ double time_s(const DwellRecord& dwell) {
 }
 
 /// The angle of a sweep as the function of time on which the angles of its readings lie, and those between
-/// them. Nothing if they are too few.
+/// them. Nullopt if they are too few.
 std::optional<SweepAngle> turning_of(const CollectedReadings& data, const std::vector<std::size_t>& sweep) {
   std::vector<AngleAtTime> passed;
   for (const std::size_t n : sweep)
@@ -172,9 +172,9 @@ std::complex<double> beyond_first_order(int m, double tangent) {
   return here / std::polar(std::abs(first), m * std::arg(first));
 }
 
-/// Takes back what the item's filter does to the harmonics of one sweep: errors of the stage and a ripple of
-/// its rate are faster than the turn, and the fit knows the filter at the turn only. The harmonics are those
-/// of an even turn, thus of the time: a filter knows no angles.
+/// Reverses the effect of the item's filter on the harmonics of one sweep: errors of the stage and a ripple
+/// of its rate are faster than the turn, and the fit knows the filter at the turn only. The harmonics are
+/// those of an even turn, thus of the time: a filter acts in time, not in angle.
 void restore_harmonics(CollectedReadings& data, const std::vector<std::size_t>& sweep, double loss) {
   constexpr int kUnknowns = 1 + 2 * kFilteredOrders;
   if (sweep.size() < 2 * static_cast<std::size_t>(kUnknowns)) return;

@@ -153,8 +153,8 @@ WhiteNoiseFit fit_with_white_noise(EffectModel& model) {
   WhiteNoiseProblem problem(model);
   WhiteNoiseFit out;
   out.minimum = minimise(problem);
-  // An output along a rotation axis changes as the inclinations of the axes say, which only the solution
-  // knows.
+  // An output along a rotation axis changes with the inclinations of the axes, which only the solution
+  // determines.
   for (int pass = 0; pass < kMostSigns && out.minimum.found && problem.take_signs(); ++pass) {
     const int before = out.minimum.iterations;
     out.minimum = minimise(problem);

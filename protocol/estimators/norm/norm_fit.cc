@@ -12,14 +12,19 @@
 #include <vector>
 
 #include "protocol/estimators/norm/norm_model.h"
+#include "protocol/estimators/shared/arrivals.h"
 #include "protocol/estimators/shared/flagged_angles.h"
+#include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/run_time.h"
+#include "protocol/estimators/shared/undetermined.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/estimators/shared/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/plan/limits.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/statistics/distributions.h"
+#include "protocol/statistics/median.h"
 
 namespace abcal {
 namespace {
@@ -36,14 +41,10 @@ constexpr double kNamedCap = 60.0;
 constexpr double kDoubtfulCap = 75.0;
 /// With fewer free residuals the scatter is not estimated again after the effects.
 constexpr double kFewestFree = 10.0;
+/// Part of a pose's variance that its residual must show for a test of that pose.
+constexpr double kLeastShown = 1e-6;
 /// Least estimated scatter of the norm when effects have priors: a noise-free record leaves only round-off.
 constexpr double kSmallestNormScatter = 1e-9;
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Radius (degrees) and centre of the largest cap without a pose, on a grid of some 1.5 degrees.
 std::pair<double, Eigen::Vector3d> largest_empty_cap(const std::vector<Eigen::Vector3d>& directions) {
@@ -77,7 +78,8 @@ struct ScaledPoses {
   std::vector<NormPose> poses;
 };
 
-ScaledPoses scaled(std::span<const Pose> poses) {
+/// @param hysteresis  its stated size, relative to S_j
+ScaledPoses scaled(std::span<const Pose> poses, double hysteresis) {
   ScaledPoses out;
   for (const Pose& pose : poses) out.centre += pose.reading / static_cast<double>(poses.size());
   for (const Pose& pose : poses) out.size += (pose.reading - out.centre).squaredNorm();
@@ -94,7 +96,18 @@ ScaledPoses scaled(std::span<const Pose> poses) {
     pose.t = timed ? *poses[i].t : static_cast<double>(i) / intervals - 0.5;
     out.poses.push_back(pose);
   }
-  find_directions(out.poses);
+  if (!std::ranges::all_of(poses, [](const Pose& pose) { return pose.sign.has_value(); })) {
+    find_directions(out.poses);
+    return out;
+  }
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const Eigen::Vector3d& sign = *poses[i].sign;
+    out.poses[i].came_from = sign;
+    if (!out.u_known) continue;
+    // The rest of the sign is noise of this pose.
+    const Eigen::Array3d left = hysteresis * hysteresis * (1.0 - sign.array().square()).max(0.0);
+    out.poses[i].u = (out.poses[i].u->array().square() + left).sqrt().matrix();
+  }
   return out;
 }
 
@@ -105,6 +118,8 @@ struct Estimate {
   NormModel model;
   bool u_known = false;
   NormSolution solution;
+  /// Degrees of freedom of the variance that the residuals gave to the poses; infinite: it is stated.
+  double scatter_degrees = std::numeric_limits<double>::infinity();
   std::vector<std::pair<std::size_t, double>> left_out;     ///< Index and residual.
   double limit = std::numeric_limits<double>::quiet_NaN();  ///< Limit of |residual|; NaN: none beyond.
   bool too_many = false;
@@ -128,6 +143,7 @@ void solve(Estimate& at) {
   plain.common_variance = at.model.orthogonality > 0.0 ? 1e-24 : 0.0;  // Readings far better than the angles.
   NormSolution first = solve_norm(at.used, plain, from);
   const auto free = static_cast<double>(at.used.size()) - kUnknowns;
+  at.scatter_degrees = free;
   const bool effects = has_item_effects(at.model.sizes);
   if (free < 1.0 || !effects) {
     if (free >= 1.0 && at.model.orthogonality == 0.0) {
@@ -145,6 +161,7 @@ void solve(Estimate& at) {
     const double next = std::max(least, at.solution.residual.squaredNorm() / at.solution.redundancy);
     const bool settled = std::abs(next / at.model.common_variance - 1.0) < 0.01;
     at.model.common_variance = next;
+    at.scatter_degrees = at.solution.scatter_degrees;
     at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
     if (settled) break;
   }
@@ -155,16 +172,18 @@ void leave_out_disturbed(Estimate& at) {
   const auto most = at.used.size() / 4;
   for (int round = 0; round < 10; ++round) {
     const NormSolution& fit = at.solution;
+    if (static_cast<double>(at.used.size()) - kUnknowns < 1.0) return;
+    // Over the standard deviation of the residual, which the leverage of its pose makes smaller. A pose whose
+    // residual is nothing but round-off determines an unknown alone, and nothing tests it.
     std::vector<double> deviations;
-    for (Eigen::Index i = 0; i < fit.residual.size(); ++i)
-      deviations.push_back(std::abs(fit.residual(i)) / std::sqrt(fit.variance(i)));
-    const double free = static_cast<double>(deviations.size()) - kUnknowns;
-    if (free < 1.0) return;
-    // 1.4826: from the median of |x| to the standard deviation of a normal distribution. The residuals of
-    // nine unknowns are smaller than the scatter by the root of the degrees of freedom.
-    double scale = 1.4826 * median(deviations) * std::sqrt(static_cast<double>(deviations.size()) / free);
+    for (Eigen::Index i = 0; i < fit.residual.size(); ++i) {
+      const double shown = fit.free_share(i) > kLeastShown ? fit.free_share(i) * fit.variance(i) : 0.0;
+      deviations.push_back(shown > 0.0 ? std::abs(fit.residual(i)) / std::sqrt(shown) : 0.0);
+    }
+    // 1.4826: from the median of |x| to the standard deviation of a normal distribution.
+    double scale = 1.4826 * median(deviations);
     if (at.u_known) scale = std::max(scale, 1.0);
-    // Residuals at the level of rounding (noise-free poses) are no outliers.
+    // Residuals at the level of rounding (noise-free poses) are not outliers.
     const double limit = std::max(kNormOutlier * scale, 1e-13 / std::sqrt(fit.variance.minCoeff()));
     Estimate kept = at;
     kept.used.clear();
@@ -198,11 +217,14 @@ struct Judgement {
 void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement) {
   const int dof = at.degrees_of_freedom();
   if (!at.u_known) {
-    judgement.about_scatter =
-        static_cast<int>(at.used.size()) > kUnknowns
-            ? fmt::format("uncertainties from the scatter of the norm, {:.2g} g_loc",
-                          std::sqrt(at.model.common_variance))
-            : "no uncertainty is given: the poses state none, and none are left over to show their scatter";
+    if (static_cast<int>(at.used.size()) > kUnknowns) {
+      judgement.about_scatter = fmt::format(
+          "uncertainties from the scatter of the norm, {:.2g} g_loc with {:.3g} degrees of freedom",
+          std::sqrt(at.model.common_variance), at.scatter_degrees);
+    } else {
+      judgement.contradictions.emplace_back(
+          "no uncertainty is given: the poses state none, and none are left over to show their scatter");
+    }
     return;
   }
   diagnostics.chi2 = at.solution.weighted_squares;
@@ -223,6 +245,7 @@ void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement)
     at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
     (at.solution.weighted_squares > dof ? low : high) = at.model.common_variance;
   }
+  at.scatter_degrees = at.solution.scatter_degrees;
   judgement.contradictions.push_back(
       judgement.about_scatter +
       fmt::format(
@@ -249,6 +272,10 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
     out.type_a = std::sqrt(of_poses(i, i));
     out.type_b = std::sqrt(std::max(0.0, total(i, i) - of_poses(i, i)));
     out.unit = unit;
+    // Welch and Satterthwaite: the part of the poses has the degrees of freedom of their scatter. The ratio
+    // is 1 but for round-off where no effect has a prior, and Student's t has no value below one degree.
+    if (of_poses(i, i) > 0.0)
+      out.degrees_of_freedom = at.scatter_degrees * std::pow(std::max(1.0, total(i, i) / of_poses(i, i)), 2);
     return out;
   };
   for (Eigen::Index j = 0; j < 3; ++j) {
@@ -262,6 +289,31 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
   result.covariance_intrinsic = total;
   result.covariance_intrinsic_type_a = of_poses;
   result.covariance_intrinsic_type_b = total - of_poses;
+}
+
+/// Judges the uncertainties by the rule of all estimators.
+void judge_outputs(const Estimate& at, const ScaledPoses& scale, const EffectSizes& sizes,
+                   CalibrationResult& result, Judgement& judgement) {
+  constexpr double kRadian = 180.0 / std::numbers::pi;
+  std::vector<JudgedOutput> outputs;
+  const auto add = [&](const std::string& name, const Quantity& quantity, double unit, Eigen::Index place) {
+    JudgedOutput& output = outputs.emplace_back(JudgedOutput{name, quantity, unit, place / 3 == 1, {}});
+    const double factor = output.angle ? 1.0 : scale.size * scale.size;
+    for (const NormShare& share : at.solution.shares)
+      output.shares.push_back(
+          {std::string(share.effect), std::string(share.key), factor * share.variance(place)});
+  };
+  for (std::size_t i = 0; i < kIntrinsicSymbols.size(); ++i) {
+    const std::size_t j = i % 3;
+    const std::string name(kIntrinsicSymbols[i]);
+    const auto place = static_cast<Eigen::Index>(i);
+    const double sensitivity = result.intrinsic_sensitivity[j].value;
+    if (i < 3) add(name, result.intrinsic_sensitivity[j], sensitivity, place);
+    if (i / 3 == 1) add(name, result.intrinsic_angle[j], kRadian, place);
+    if (i >= 6) add(name, result.offset[j], sensitivity, place);
+  }
+  for (const Undetermined& one : undetermined_outputs(outputs, sizes, EffectsAre::kEstimated))
+    (one.doubtful ? judgement.contradictions : result.diagnostics.notes).push_back(one.words);
 }
 
 /// Judges how well the poses cover the sphere.
@@ -310,7 +362,7 @@ void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationR
 
 /// Fills the result from checked poses, except for the source of the poses.
 void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
-  const ScaledPoses scale = scaled(poses);
+  const ScaledPoses scale = scaled(poses, sizes.hysteresis);
   Estimate at;
   at.u_known = scale.u_known;
   at.model.sizes = sizes;
@@ -332,6 +384,7 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
   NormResult& norm = result.norm.emplace();
   norm.poses = static_cast<int>(at.used.size());
   norm.norm_rms = rms;
+  judge_outputs(at, scale, sizes, result, judgement);
   judge_coverage(at, result, judgement);
   list_left_out(poses, at, result, judgement);
   if (at.model.orthogonality > 0.0) {
@@ -383,6 +436,7 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
 /// The poses of a record in the order of time, and the numbers of poses left out because of their flags.
 struct RecordPoses {
   std::vector<Pose> poses;
+  std::vector<const DwellRecord*> dwells;  ///< That of each pose.
   int clipped = 0, stuck = 0, not_finite = 0;
 
   void add(const DwellRecord& dwell, double t) {
@@ -398,7 +452,7 @@ struct RecordPoses {
       ++stuck;
       return;
     }
-    Pose pose{dwell.mean, {}, t, {}};
+    Pose pose{dwell.mean, {}, t, {}, {}};
     // An uncertainty of zero means that it is not known (a dwell without any scatter).
     if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
     if (dwell.experiment > 0) {
@@ -407,6 +461,28 @@ struct RecordPoses {
       pose.name = fmt::format("check pose {}", dwell.n);
     }
     poses.push_back(std::move(pose));
+    dwells.push_back(&dwell);
+  }
+
+  /// The signs of the hysteresis from the motions of the stage, which are known only for the angles of
+  /// experiments.
+  void take_signs(const RunRecord& record) {
+    if (!(record.tolerances.hysteresis > 0.0) || is_at_constant_rate(record)) return;
+    std::vector<const DwellRecord*> at_angles;
+    for (const DwellRecord* dwell : dwells)
+      if (dwell->experiment >= 1 && dwell->mean.allFinite()) at_angles.push_back(dwell);
+    constexpr std::size_t kFewest = 9;
+    if (at_angles.size() < kFewest) return;
+    Eigen::Matrix3d s;
+    try {
+      s = linear_fit_on_perfect_stage(at_angles).sensitivity_matrix;
+    } catch (const UnusableData&) {
+      return;  // The angles do not determine a response, but the poses may.
+    }
+    if (!(s.rowwise().norm().minCoeff() > 0.0)) return;
+    const std::vector<Eigen::Vector3d> signs =
+        signs_by_sizes(arrivals_at(record, dwells), s.rowwise().normalized(), record.tolerances);
+    for (std::size_t i = 0; i < poses.size(); ++i) poses[i].sign = signs[i];
   }
 };
 
@@ -458,6 +534,7 @@ CalibrationResult analyse_norm(const RunRecord& record) {
     result.diagnostics.notes.push_back(
         fmt::format("{} poses without finite readings left out", all.not_finite));
   }
+  all.take_signs(record);
   analyse_into(all.poses, record.tolerances, result);
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   add_voltmeter(record.tolerances, result);

@@ -16,6 +16,8 @@ struct Pose {
   std::optional<Eigen::Vector3d> u;                   ///< Standard uncertainties (R), greater than 0.
   std::optional<double> t;  ///< Time, -1/2 to 1/2 over the run; absent: evenly in the order given.
   std::string name;         ///< "experiment 1, alpha = 5 degrees"; empty: its place in the order.
+  /// Mean signs with which the hysteresis acts (ArrivalSigns); absent: those of the changes of the readings.
+  std::optional<Eigen::Vector3d> sign{};
 };
 
 /// Poses this many robust standard deviations from the unit sphere are left out, at most a quarter of all.

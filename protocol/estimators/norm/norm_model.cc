@@ -259,6 +259,12 @@ class NormProblem {
     const Eigen::Index pairs = weighted_.rows() - 1;
     out.redundancy = static_cast<double>(weighted_.rows()) - fitted.cwiseProduct(weighted_).sum();
     out.successive_products = -fitted.topRows(pairs).cwiseProduct(weighted_.bottomRows(pairs)).sum();
+    out.free_share = 1.0 - fitted.cwiseProduct(weighted_).rowwise().sum().array();
+    const Eigen::MatrixXd hat = transposed_product(fitted, weighted_);  // W' W C: its powers have H's traces.
+    // Student's t has no value below one degree: round-off must not make that of ten poses smaller.
+    constexpr double kRoundOff = 1e-9;
+    out.scatter_degrees = 2.0 * out.redundancy - static_cast<double>(weighted_.rows()) +
+                          hat.cwiseProduct(hat.transpose()).sum() + kRoundOff;
     const Eigen::Matrix3d s =
         upper(out.unknowns).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
     const Eigen::Vector3d unit = s.rowwise().norm();
@@ -287,12 +293,34 @@ class NormProblem {
     const Eigen::Matrix<double, 9, Eigen::Dynamic> jacobian =
         product(intrinsic_jacobian(out.line_sensitivity), by_unknown);
     out.covariance = carried_covariance(jacobian, out.cofactor);
-    const Eigen::MatrixXd by_norm = -product_transposed(product(jacobian, out.cofactor),
-                                                        scaled_rows(out.variance.cwiseInverse(), jacobian_));
+    const Eigen::MatrixXd by_equation = product(jacobian, out.cofactor);
+    out.shares = shares_of(out, by_equation);
+    const Eigen::MatrixXd by_norm =
+        -product_transposed(by_equation, scaled_rows(out.variance.cwiseInverse(), jacobian_));
     out.covariance_of_poses = product_transposed(scaled_columns(by_norm, out.variance), by_norm);
     out.gain.resize(9, 3 * jacobian_.rows());
     for (Eigen::Index i = 0; i < jacobian_.rows(); ++i)
       out.gain.middleCols<3>(3 * i) = product(by_norm.col(i), by_reading_.row(i));
+  }
+
+  /// @param by_equation  derivatives of the outputs by the right side of the normal equations
+  std::vector<NormShare> shares_of(const NormSolution& at, const Eigen::MatrixXd& by_equation) const {
+    std::vector<NormShare> out;
+    for (Eigen::Index k = 0; k < own_; ++k) {
+      const Own& own = effects_[static_cast<std::size_t>(k)];
+      if (own.index == 0) out.push_back({own.effect->name, own.effect->key});
+      for (int j = 0; j < 3; ++j)
+        out.back().variance += (by_equation.col(column(j, k)) / own.prior).cwiseAbs2();
+    }
+    if (model_.orthogonality > 0.0) {
+      Eigen::Vector3d value;
+      Eigen::MatrixXd by_unknown;
+      orthogonality(at.unknowns, value, by_unknown);
+      out.push_back({"the angles between the axes", "orthogonality_deg"});
+      out.back().variance =
+          (product_transposed(by_equation, by_unknown) / model_.orthogonality).cwiseAbs2().rowwise().sum();
+    }
+    return out;
   }
 
   std::span<const NormPose> poses_;

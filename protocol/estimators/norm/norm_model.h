@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <optional>
 #include <span>
+#include <string_view>
 #include <vector>
 
 #include "protocol/estimators/shared/calibration_result.h"
@@ -29,6 +30,13 @@ struct NormModel {
   double common_variance = 0.0;  ///< Added to the variance of every pose's norm.
 };
 
+/// Variances that the prior of one effect adds to the nine intrinsic outputs.
+struct NormShare {
+  std::string_view effect;  ///< "k3", "the angles between the axes"
+  std::string_view key;     ///< Key of its size in the bench file.
+  Eigen::Matrix<double, 9, 1> variance = Eigen::Matrix<double, 9, 1>::Zero();
+};
+
 /// Derivatives of the nine intrinsic outputs by the readings of the poses.
 using NormGain = Eigen::Matrix<double, 9, Eigen::Dynamic>;
 
@@ -39,6 +47,11 @@ struct NormSolution {
   Eigen::VectorXd variance;  ///< Variance of the residual.
   double weighted_squares = 0.0;  ///< Priors included.
   double redundancy = 0.0;        ///< Expectation of the poses' part of weighted_squares.
+  /// Degrees of freedom of a variance of the poses that is estimated from the residuals: tr((I - H)^2) with H
+  /// the hat matrix, twice the squared mean of that estimate over its variance. Poses - 9 without priors.
+  double scatter_degrees = 0.0;
+  /// 1 less the leverage of each pose: the part of its variance that its residual shows.
+  Eigen::VectorXd free_share;
   /// Expectation of the sum of the products of successive residuals over their standard deviations, if the
   /// readings have white noise: the fit itself makes it negative.
   double successive_products = 0.0;
@@ -52,6 +65,7 @@ struct NormSolution {
   Eigen::Matrix<double, 9, 1> intrinsic;
   Covariance9 covariance;
   Covariance9 covariance_of_poses;  ///< The part from the variances of the poses.
+  std::vector<NormShare> shares;    ///< The rest of its diagonal: effects and the angles between the axes.
   NormGain gain;  ///< Derivative of `intrinsic` by the readings: 9 x 3 n, u, v, w of each pose.
 };
 

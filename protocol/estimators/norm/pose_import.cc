@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
-#include <charconv>
 #include <cmath>
 #include <fstream>
 #include <limits>
@@ -16,6 +15,7 @@
 #include <string_view>
 #include <utility>
 
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "protocol/estimators/norm/norm_fit.h"
 
@@ -50,11 +50,7 @@ std::vector<std::string_view> cells_of(std::string_view line) {
 }
 
 std::optional<double> number(std::string_view text) {
-  if (!text.empty() && text.front() == '+') text.remove_prefix(1);
-  double value = 0.0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
-  return value;
+  return pieces::number<double>(text.starts_with('+') ? text.substr(1) : text);
 }
 
 Table read_table(std::istream& in, const std::string& source) {
@@ -76,12 +72,7 @@ Table read_table(std::istream& in, const std::string& source) {
     if (columns == 0) {
       columns = cells.size();
       if (!std::all_of(cells.begin(), cells.end(), [](auto cell) { return number(cell).has_value(); })) {
-        for (const std::string_view cell : cells) {
-          std::string name(cell);
-          std::transform(name.begin(), name.end(), name.begin(),
-                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-          table.header.push_back(name);
-        }
+        for (const std::string_view cell : cells) table.header.push_back(pieces::lower(cell));
         continue;
       }
     }
@@ -210,7 +201,7 @@ Eigen::Vector3d spread_limit(const TimeSeries& series, const std::vector<Eigen::
     for (std::size_t i = 0; i < n; ++i) sorted[i] = spread[i](j);
     const auto tenth = sorted.begin() + static_cast<std::ptrdiff_t>(n / 10);
     std::nth_element(sorted.begin(), tenth, sorted.end());
-    // The spread of a quiet output may be below its resolution: one step of it is never motion.
+    // The spread of a quiet output may be below its resolution: one step of it does not count as motion.
     double resolution = std::numeric_limits<double>::infinity();
     for (std::size_t i = 1; i < n; ++i) {
       const double step = std::abs(series.reading[i](j) - series.reading[i - 1](j));

@@ -24,7 +24,7 @@ struct StaticSearch {
   double trim_s = 0.3;        ///< Time cut off both ends of each stretch.
 };
 
-/// One stretch without motion, trimmed: samples first .. last - 1, less those of a knock in between.
+/// One stretch without motion, trimmed: samples first .. last - 1, without those of a knock in between.
 struct StaticStretch {
   std::size_t first = 0, last = 0;
   std::size_t count = 0;  ///< Samples used.

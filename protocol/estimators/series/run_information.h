@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// Facts that the readings of one run of one item tell of the item and of the stage: a quadratic form,
+/// Information of the readings of one run of one item on the item and the stage: a quadratic form,
 ///   chi2(q) = (q - at)' weight (q - at) - 2 pull'(q - at) + squares,
 /// of q = the outputs' own unknowns, the unknowns of the stage, and the step error of each visit (radian). It
 /// holds the readings alone: no prior of these unknowns. The model is linear at `at`, the solution of the

@@ -43,7 +43,7 @@ StageRecordUse use_of(const StageRecord& record, double age_months, std::vector<
   return out;
 }
 
-/// Says which record was used, and objects where the run contradicts it.
+/// Reports which record was used, and objects if the run contradicts it.
 void report_record(const StageRecordUse& use, const std::string& furthest, CalibrationResult& result) {
   result.diagnostics.notes.push_back(fmt::format(
       "the record of the stage is used: {}, learned {} from {} runs, {:.1f} months before this run "

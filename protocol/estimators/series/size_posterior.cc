@@ -22,7 +22,7 @@ double log_density_before(const SizeFound& before, double size) {
   }
   const auto& points = before.log_density;
   auto next = std::ranges::lower_bound(points, size, {}, &std::pair<double, double>::first);
-  // Beyond the ends as between the last two.
+  // Extrapolates linearly.
   next = std::clamp(next, points.begin() + 1, points.end() - 1);
   const auto last = std::prev(next);
   const double share = std::log(size / last->first) / std::log(next->first / last->first);

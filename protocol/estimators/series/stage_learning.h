@@ -27,7 +27,7 @@ StageLearned learn_stage(std::span<const SeriesRun> runs, const std::optional<St
 
 /// The test of a record by one run: for each part of the stage how its errors in this run differ from what
 /// the record predicts, against the covariance of that difference. A common turn of the whole stage about X
-/// is no part: no run shows it.
+/// is not tested: no run shows it.
 /// @param before  the record's state at the time of the run
 std::vector<EffectTest> test_state(const RunInformation& run, const SeriesRunResult& found,
                                    const StageState& before, const Repeatabilities& repeatabilities);

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "drivers/text/names.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -12,15 +13,9 @@ double coverage_factor(const Quantity& quantity, double probability) {
 }
 
 std::string_view to_string(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kUsable:
-      return "usable";
-    case Verdict::kDoubtful:
-      return "doubtful";
-    case Verdict::kNotUsable:
-      break;
-  }
-  return "not_usable";
+  static constexpr auto kNames = names<Verdict>(
+      {{Verdict::kUsable, "usable"}, {Verdict::kDoubtful, "doubtful"}, {Verdict::kNotUsable, "not_usable"}});
+  return kNames.of(verdict, "not_usable");
 }
 
 Eigen::Matrix3d CalibrationResult::sensitivity_values() const {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "protocol/estimators/shared/unusable_data.h"
+#include "protocol/model/stage_model.h"
 
 namespace abcal {
 
@@ -71,6 +72,17 @@ KnownAcsFit linear_fit_given_acs(const RunRecord& record, const AcsErrors& error
   }
   if (weights.size() != readings.size()) weights.clear();  // not known everywhere: all alike
   return linear_fit_given_acs(gravity, readings, weights);
+}
+
+KnownAcsFit linear_fit_on_perfect_stage(std::span<const DwellRecord* const> dwells) {
+  std::vector<Eigen::Vector3d> gravity, readings;
+  for (const DwellRecord* dwell : dwells) {
+    const SinCos alpha = sincos(dwell->alpha);
+    gravity.push_back(gravity_alone(StagePose::of(dwell->experiment, dwell->face, alpha.sin, alpha.cos),
+                                    StageInputs::Zero()));
+    readings.push_back(dwell->mean);
+  }
+  return linear_fit_given_acs(gravity, readings);
 }
 
 }  // namespace abcal

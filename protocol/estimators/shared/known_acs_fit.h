@@ -37,4 +37,8 @@ KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
 /// Weights: 1 / mean square of u_u, u_v, u_w where every dwell has u_mean greater than zero, else 1.
 KnownAcsFit linear_fit_given_acs(const RunRecord& record, const AcsErrors& errors);
 
+/// The same for dwells of experiments 1 to 3 on a perfect stage, all with weight 1: good to 1e-3, enough for
+/// derivatives and signs.
+KnownAcsFit linear_fit_on_perfect_stage(std::span<const DwellRecord* const> dwells);
+
 }  // namespace abcal

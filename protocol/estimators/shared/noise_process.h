@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
 #include <vector>
 
 namespace abcal {
@@ -42,6 +43,8 @@ class NoiseWhitener {
   void whiten(ReadingRows& rows) const;
   /// L' X, in place: whiten() and then this give V^-1 X.
   void whiten_transposed(ReadingRows& rows) const;
+  std::span<const WhitenerStep> steps() const { return at_; }
+  bool white() const { return white_; }  ///< No process: the filter has no state.
   /// log det V.
   double log_determinant() const { return log_determinant_; }
   /// Covariance of every reading of each output with that output's mean of the process over the run.

@@ -6,8 +6,8 @@
 
 namespace abcal {
 
-/// Makes a usable result doubtful; the words stand before the reasons that it had. A result that is not
-/// usable stays so.
+/// Makes a usable result doubtful; the words precede the reasons that it had. A result that is not usable
+/// stays so.
 void object_to(CalibrationResult& result, const std::string& words);
 
 }  // namespace abcal

@@ -55,7 +55,9 @@ class AppliedCertificateTest : public ProgramTest {};
 TEST_F(AppliedCertificateTest, OneCertificateHasAsFoundAndAsLeft) {
   std::string bench = test::read_file(test::source_folder() / "docs/examples/simulated.toml");
   for (const auto& [from, to] : {std::pair("steps = 72\nstep_deg = 5.0", "steps = 12\nstep_deg = 30.0"),
-                                 std::pair("dwell_readings = 1000", "dwell_readings = 50")})
+                                 std::pair("dwell_readings = 1000", "dwell_readings = 50"),
+                                 // Its offset is then the one in the file.
+                                 std::pair("draw = \"stated\"", "# nothing is drawn")})
     bench.replace(bench.find(from), std::string_view(from).size(), to);
   test::write_file(folder / "bench.toml", bench);
   ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);

@@ -134,10 +134,10 @@ TEST_F(MakeCertificateTest, EachMissingItemIsNamed) {
 
 TEST_F(MakeCertificateTest, EquipmentMustBeThatOfTheRunAndInDate) {
   const std::string due = refusal(request(overdue()));
-  EXPECT_THAT(due, AllOf(HasSubstr("Two-axis rotation stage, due: found 1999-12-31"),
+  EXPECT_THAT(due, AllOf(HasSubstr("Two-axis rotation stage\", due: found 1999-12-31"),
                          HasSubstr("not before that of the run"), HasSubstr("--draft")));
   EXPECT_THAT(refusal(request(replaced(example_laboratory(), "\"118001234\"", "\"4711\""))),
-              HasSubstr("stage: found serial number 118001234"));
+              HasSubstr("stage: found serial number \"118001234\""));
 }
 
 TEST_F(MakeCertificateTest, ADraftSaysWhatSpeaksAgainstIt) {

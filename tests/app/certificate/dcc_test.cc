@@ -144,7 +144,7 @@ TEST_F(DccTest, TheBudgetAddsUpToTheUncertainty) {
     // In m/s2 per m/s2, local gravity included, as on the first page.
     const double u =
         kStandardGravity *
-        stated_quantity(made.run.stated, std::string("intrinsic_sensitivity_") + kAccelerometers[axis])
+        stated_quantity(made.run.stated, std::string("intrinsic_sensitivity_") + kOutputNames[axis])
             ->standard_uncertainty;
     EXPECT_NEAR(std::sqrt(squares), u, 0.05 * u) << axis;  // Contributions have two digits.
   }

@@ -175,5 +175,40 @@ TEST(DerivedTest, NothingFromAResultWithoutMatrixOrGravity) {
   EXPECT_THROW(derive(CalibrationResult{}, {}), std::invalid_argument);
 }
 
+// A larger U by Monte Carlo takes the place of the result's own, in every unit; none becomes smaller.
+TEST(StatedResultTest, ALargerUByMonteCarloIsStated) {
+  CalibrationResult result = result_of(kMatrix, kOffset);
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(kMatrix);
+  result.covariance_intrinsic = jacobian * *result.covariance * jacobian.transpose();
+  const auto u_of = [&](Eigen::Index i) { return std::sqrt((*result.covariance_intrinsic)(i, i)); };
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto i = static_cast<Eigen::Index>(j);
+    result.intrinsic_sensitivity[j].standard_uncertainty = u_of(i);
+    result.intrinsic_angle[j].standard_uncertainty = u_of(3 + i);
+    result.offset[j].standard_uncertainty = std::sqrt((*result.covariance)(9 + i, 9 + i));
+  }
+  CertifiedUncertainty made;
+  made.mean_squares.topLeftCorner<12, 12>() = *result.covariance;
+  for (CertifiedExpanded& one : made.outputs) one = {1.0, {1.0, 1.0}};
+  const StatedResult before = stated_result(result, {}, {}, false);
+  const auto same = stated_result(result, {}, {}, false, &made);
+  EXPECT_EQ(*same.result.covariance, *result.covariance);
+
+  const double s_ux = 3.0 * (*result.sensitivity_matrix)[0][0].standard_uncertainty;
+  const double phi_vw = 2.0 * result.intrinsic_angle[1].standard_uncertainty;
+  made.outputs[0] = {1.0, {2.0 * s_ux, 2.0}};
+  made.outputs[kFirstIntrinsicAngle + 1] = {1.0, {2.0 * phi_vw, 2.0}};
+  const StatedResult after = stated_result(result, {}, {}, false, &made);
+  EXPECT_NEAR((*after.result.sensitivity_matrix)[0][0].standard_uncertainty / s_ux, 1.0, 1e-9);
+  EXPECT_NEAR(std::sqrt((*after.result.covariance)(0, 0)) / s_ux, 1.0, 1e-9);
+  EXPECT_GE(after.result.intrinsic_angle[1].standard_uncertainty, phi_vw * (1.0 - 1e-9));
+  EXPECT_GE(stated_quantity(after, "non_orthogonality_vw")->standard_uncertainty,
+            2.0 * (1.0 - 1e-9) * stated_quantity(before, "non_orthogonality_vw")->standard_uncertainty);
+  for (const char* name : {"sensitivity_vy", "intrinsic_sensitivity_w", "intrinsic_angle_uv", "offset_w"})
+    EXPECT_GE(stated_quantity(after, name)->standard_uncertainty,
+              (1.0 - 1e-9) * stated_quantity(before, name)->standard_uncertainty)
+        << name;
+}
+
 }  // namespace
 }  // namespace abcal

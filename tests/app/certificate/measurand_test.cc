@@ -128,7 +128,7 @@ TEST_F(MeasurandTest, TheScopeRaisesTheEquationWithTheSensitivities) {
     const Quantity& M = equation.M[static_cast<std::size_t>(4 * i)].value;
     EXPECT_NEAR(M.standard_uncertainty / M.value, 0.01, 0.01 * 0.2) << i;
     const Quantity s =
-        *stated_quantity(stated, fmt::format("sensitivity_{}{}", kAccelerometers.at(i), kPlatterAxes.at(i)));
+        *stated_quantity(stated, fmt::format("sensitivity_{}{}", kOutputNames.at(i), kPlatterAxes.at(i)));
     // U = k u with k of the result's degrees of freedom.
     EXPECT_NEAR(M.standard_uncertainty / M.value, s.standard_uncertainty / s.value, 1e-12) << i;
     EXPECT_NEAR(s.standard_uncertainty * coverage_factor(s) / s.value, 0.02, 1e-6) << i;
@@ -150,7 +150,7 @@ TEST_F(MeasurandTest, TheCertificateHasTheEquationWithItsUncertaintyAndCorrelati
     ASSERT_EQ(values.size(), 3U);
     EXPECT_EQ(xml.text(list + "si:unitXMLList"), "|(m/s2)/g");
     for (Eigen::Index k = 0; k < 3; ++k) {
-      const double u = exported.u_M()(row - 1, k), U = expanded[static_cast<std::size_t>(k)];
+      const double u = exported.u_matrix()(row - 1, k), U = expanded[static_cast<std::size_t>(k)];
       EXPECT_NEAR(values[static_cast<std::size_t>(k)], exported.M(row - 1, k),
                   0.051 * U);        // Two digits of U.
       EXPECT_NEAR(U / u, 2.0, 0.2);  // k of the degrees of freedom, and two digits.

@@ -100,6 +100,22 @@ TEST_F(RateCertificateTest, ItsPageAndItsNumbersForProgramsHaveTheResponse) {
   EXPECT_EQ((*response)["statements"].size(), 2U * (2U + 3U + 1U));
 }
 
+TEST_F(RateCertificateTest, SaysWhichUncertaintyIsStated) {
+  CertificateRequest asked;
+  asked.laboratory = parse_laboratory_file(example_laboratory(), "lab.toml");
+  asked.run = gather_report(run_file(), any_time());
+  asked.draft = true;
+  add_monte_carlo(asked);
+  const Certificate made = make_certificate(std::move(asked));
+  ASSERT_TRUE(made.run.monte_carlo);
+  const auto json = certificate_json(xml_text(dcc_document(made)));
+  EXPECT_THAT(json["monte_carlo"].get<std::string>(),
+              AllOf(HasSubstr("2000 trials of the whole evaluation (seed " +
+                              std::to_string(seed_of_sha256(made.run.data.sha256.value())) + ")"),
+                    HasSubstr(made.run.monte_carlo->any_larger() ? "that of the trials and its covariance"
+                                                                 : "the evaluated one is stated")));
+}
+
 TEST_F(RateCertificateTest, AsFoundAndAsLeftEachHaveTheirResponse) {
   CertificateRequest asked;
   asked.laboratory = parse_laboratory_file(

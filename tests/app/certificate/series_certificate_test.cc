@@ -176,7 +176,7 @@ TEST_F(SeriesCertificateTest, EveryContradictionIsSaidAtOnceAndOnce) {
               AllOf(HasSubstr("item.serial_number: found \"SN-43\"; required: the item of the run"),
                     HasSubstr("measured with another bench file"),
                     HasSubstr("required: a run at the reference temperature of the series"),
-                    HasSubstr("run, stage: found serial number SIM-1"),
+                    HasSubstr("run, stage: found serial number \"SIM-1\""),
                     Not(HasSubstr("runs over temperature, stage"))));
 }
 

@@ -63,7 +63,7 @@ TEST_F(TraceabilityTest, EveryReasonAgainstItIsListedAndRefusesACertificate) {
   asked.run.record.tolerances.sources.clear();
   asked.run.record.response_unit = "V";
   const std::string why = refusal(asked);
-  EXPECT_THAT(why, AllOf(HasSubstr("simulated: stage"), HasSubstr("by formula GRS80"),
+  EXPECT_THAT(why, AllOf(HasSubstr("simulated: stage"), HasSubstr("by \"formula GRS80\""),
                          HasSubstr("performed not stated"), HasSubstr("default sizes are used"),
                          HasSubstr("run, voltage")));
   // A training certificate lets it pass and says so.
@@ -72,7 +72,7 @@ TEST_F(TraceabilityTest, EveryReasonAgainstItIsListedAndRefusesACertificate) {
   const Certificate training = make_certificate(asked);
   EXPECT_EQ(traceable(training), "");
   EXPECT_THAT(xml_text(dcc_document(training)),
-              AllOf(HasSubstr("abc_training"), HasSubstr("by formula GRS80")));
+              AllOf(HasSubstr("abc_training"), HasSubstr("by \"formula GRS80\"")));
 }
 
 TEST_F(TraceabilityTest, ACalibrationHoldsOnTheDayOfTheRun) {
@@ -95,7 +95,8 @@ TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
       replaced(example_laboratory(), "performed = 2025-12-31 ", "performed = 2026-03-02 ") +
       "[[equipment]]\nname = \"Another stage\"\nquantity = \"angle\"\nserial_number = \"7\"\n"
       "certificate = \"C-1\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
-  EXPECT_THAT(refusal(issuable(laboratory)), HasSubstr("equipment for angle with serial number 118001234"));
+  EXPECT_THAT(refusal(issuable(laboratory)),
+              HasSubstr("equipment for angle with serial number \"118001234\""));
   // A voltmeter's reading is a voltage, whatever unit its scale has.
   CertificateRequest asked = issuable();
   asked.run.bench->items.front().accelerometer.driver = "scpi_voltmeter";
@@ -107,7 +108,7 @@ TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
       "[[equipment]]\nname = \"Voltmeter\"\nquantity = \"voltage\"\nserial_number = \"MY-12\"\n"
       "certificate = \"C-2\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
   asked.laboratory = issuable(example_laboratory() + voltmeter).laboratory;
-  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number MY-1 and"));
+  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number \"MY-1\" and"));
   asked.laboratory = issuable(example_laboratory() + replaced(voltmeter, "MY-12", "MY-1")).laboratory;
   EXPECT_EQ(refusal(asked), "");
   // U without the voltmeter's part is not that of the calibration.
@@ -122,8 +123,8 @@ TEST_F(TraceabilityTest, AStageThatReportsNoSerialNumberNeedsOneThatTheBenchFile
               HasSubstr("run, stage: found no serial number, neither reported by the instrument "
                         "nor stated; required: [stage] serial_number in the bench file"));
   without_reported_number(asked, "stage", "7");
-  EXPECT_THAT(refusal(asked), AllOf(HasSubstr("equipment for angle with serial number 7 and"),
-                                    HasSubstr("stage: found serial number 7")));
+  EXPECT_THAT(refusal(asked), AllOf(HasSubstr("equipment for angle with serial number \"7\" and"),
+                                    HasSubstr("stage: found serial number \"7\"")));
   without_reported_number(asked, "stage", "118001234");
   EXPECT_EQ(refusal(asked), "");
   const Certificate certificate = make_certificate(asked);
@@ -170,7 +171,7 @@ TEST_F(TraceabilityTest, AVoltmeterThatReportsNoSerialNumberNeedsOneThatTheBench
   without_reported_number(asked, "accelerometer", "", "0");
   EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found no serial number"));
   without_reported_number(asked, "accelerometer", "MY-2", "0");
-  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number MY-2"));
+  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number \"MY-2\""));
   without_reported_number(asked, "accelerometer", "MY-1", "0");
   EXPECT_EQ(refusal(asked), "");
 }
@@ -185,7 +186,7 @@ TEST_F(TraceabilityTest, LocalGravityIsThatOfTheEquipmentForGravity) {
       with_source("felt about right"),
       HasSubstr("run, local gravity: found source \"felt about right\"; required: [bench] g_loc_mps2 from "
                 "a record of the register, or a g_loc_source that names the certificate of the equipment "
-                "for gravity: EX-GRAV-7"));
+                "for gravity: \"EX-GRAV-7\""));
   // Another number that only contains the right one.
   for (const char* source :
        {"certificate EX-GRAV-71", "EX-GRAV-7/2", "EX-GRAV-7-B", "2EX-GRAV-7", "GRAV-7", "7"})
@@ -257,7 +258,7 @@ TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
   EXPECT_EQ(missing({"12345", "118001234"}, "12345 + 118001234"), "");
   EXPECT_EQ(missing({"118001233"}, "118001233/1180012345"), "1180012345");
   EXPECT_THAT(refusal(issuable(replaced(example_laboratory(), "\"118001234\"", "\"1\""))),
-              HasSubstr("stage: found serial number 118001234"));
+              HasSubstr("stage: found serial number \"118001234\""));
 }
 
 TEST_F(TraceabilityTest, WhoMeasuredIsWhoTheEventsSay) {

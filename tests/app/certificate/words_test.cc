@@ -132,6 +132,62 @@ TEST_F(WordsTest, ComposedSentencesAreTranslatedWithTheirValues) {
   EXPECT_EQ(unknown.language, "");
 }
 
+TEST_F(WordsTest, QuotationsOfAPersonStayAsTheyAre) {
+  const Words german("de");
+  // The table has "customer", "stage" and "; " between sentences; the decimal mark of German is a comma.
+  EXPECT_EQ(german.composed("source \"customer\"").text, "Quelle \"customer\"");
+  EXPECT_EQ(german.composed("source \"report 1.5; customer; stage\"").text,
+            "Quelle \"report 1.5; customer; stage\"");
+  EXPECT_EQ(german.composed("\"stage\", but the instrument reported \"1.5\"").text,
+            "\"stage\", das Ger\u00e4t aber meldete \"1.5\"");
+  const Wording file = german.composed("an [[equipment]] with quantity = \"angle\" and this serial_number");
+  EXPECT_EQ(file.text, "ein [[equipment]] mit quantity = \"angle\" und dieser serial_number");
+  EXPECT_EQ(file.language, "de");
+}
+
+/// A certificate whose bench and laboratory files have one text wherever a person may write any.
+/// @param draft  of a run that is not traceable, with the reasons
+std::string with_text_of_a_person(CertificateRequest asked, const std::string& text, bool draft) {
+  if (!draft) as_if_real(asked.run);
+  for (const EffectSizeKey& key : effect_size_keys())
+    asked.run.record.tolerances.sources[std::string(key.key)] = text;
+  asked.run.record.g_loc.source = draft ? "formula " + text : text;
+  if (draft) asked.run.run->header.labels["replay.of"] = text;
+  LaboratoryFile& file = asked.laboratory.file;
+  for (std::string* one : {&file.job.item_name, &file.job.condition, &file.job.procedure, &file.job.sampling,
+                           &file.job.deviations, &file.job.external_results, &file.job.opinions,
+                           &file.customer.name, &file.laboratory.gravity_site})
+    *one = text;
+  file.job.customer_supplied = {text};
+  for (Equipment& one : file.equipment) {
+    one.name = one.certificate = one.certificate_issuer = text;
+    if (!draft) continue;
+    one.serial_number = text;
+    one.due = one.performed;
+  }
+  asked.draft = draft;
+  asked.run.results = analyse_all(asked.run.record);
+  asked.run.budget = make_budget(asked.run.record, asked.run.result());
+  return xml_text(dcc_document(make_certificate(std::move(asked))));
+}
+
+TEST_F(WordsTest, AGermanCertificateTranslatesNothingThatAPersonWrote) {
+  const std::string german = replaced(example_laboratory(), "language = \"en\"", "language = \"de\"");
+  // The program has these words too, for places, states and distributions that these certificates do not
+  // have.
+  for (const auto& [text, translation] :
+       {std::pair<std::string, std::string>{"customer", "beim Auftraggeber"},
+        {"as found", "vor der Justierung"},
+        {"triangular", "dreieckverteilt"},
+        {"report 7.25", "7,25"}}) {
+    for (const bool draft : {false, true}) {
+      const std::string xml = with_text_of_a_person(request(german), text, draft);
+      EXPECT_THAT(xml, testing::Not(testing::HasSubstr(translation))) << text << (draft ? ", draft" : "");
+      EXPECT_THAT(xml, testing::HasSubstr("Standardmessunsicherheit; Quelle: " + text)) << draft;
+    }
+  }
+}
+
 /// Sentences of the analysis with values, as it composes them (formats of its sources).
 std::vector<std::string> sentences_of_analysis() {
   std::vector<std::string> sentences;

@@ -31,6 +31,13 @@ TEST(NumberTextTest, AZeroHasNoSign) {
   EXPECT_EQ(without_negative_zero("+0.0"), "+0.0");
 }
 
+TEST(NumberTextTest, TheSecondDigitIsThatOfTheRoundedNumber) {
+  EXPECT_EQ(place_of_second_digit(0.0123), -3);
+  EXPECT_EQ(place_of_second_digit(0.0994), -3);
+  EXPECT_EQ(place_of_second_digit(0.0996), -2);
+  EXPECT_EQ(place_of_second_digit(120.0), 1);
+}
+
 TEST(NumberTextTest, PowersAlone) {
   EXPECT_EQ(power_of_ten(-6), "10⁻⁶");
   EXPECT_EQ(power_of_ten(12), "10¹²");

@@ -124,8 +124,8 @@ TEST_F(ExportTest, TheConstantsTurnReadingsIntoLocalGravity) {
     const double worst = worst_norm_error(
         record, 1.0, [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return c.M * (r - c.b); });
     EXPECT_LT(worst, 1e-4);  // g_loc times 1e-5, the size of the default uncertainties.
-    EXPECT_TRUE((c.u_M().array() > 0.0).all() || frame == ExportFrame::kItem);
-    EXPECT_TRUE((c.u_M().diagonal().array() > 0.0).all());
+    EXPECT_TRUE((c.u_matrix().array() > 0.0).all() || frame == ExportFrame::kItem);
+    EXPECT_TRUE((c.u_matrix().diagonal().array() > 0.0).all());
     EXPECT_TRUE((c.u_b().array() > 0.0).all());
   }
   const CorrectionConstants own = constants();
@@ -263,7 +263,7 @@ TEST_F(ExportTest, IntegersCorrectAsFloatingPointDoesInAnyUnit) {
     ASSERT_THAT(header, HasSubstr("abcal_M_fixed")) << unit;
     EXPECT_EQ(export_format("c").left_out(c), "");
     double least_u = 1.0;
-    for (Eigen::Index j = 0; j < 3; ++j) least_u = std::min(least_u, kG * c.u_M()(j, j) / c.M(j, j));
+    for (Eigen::Index j = 0; j < 3; ++j) least_u = std::min(least_u, kG * c.u_matrix()(j, j) / c.M(j, j));
     EXPECT_LT(difference_of_rules(header, run), 0.1 * least_u) << unit << " " << scale << "\n" << header;
   }
 }

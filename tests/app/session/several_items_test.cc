@@ -126,7 +126,8 @@ TEST_F(SeveralItemsTest, OneStageExplainsTheReadingsOfAllItemsAndTheResultsCover
   const BenchConfig truth = parse_bench(text, "bench.toml");
   for (int k = 1; k <= 3; ++k) {
     const TruthComparison comparison =
-        compare_with_truth(outcome.joint.items.at(static_cast<std::size_t>(k) - 1).result, truth, k);
+        compare_with_truth(outcome.joint.items.at(static_cast<std::size_t>(k) - 1).result,
+                           outcome.items.at(static_cast<std::size_t>(k) - 1).stored.record, truth, k);
     EXPECT_TRUE(comparison.agrees()) << "item " << k << "\n" << comparison.text;
   }
 }

@@ -3,6 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdint>
+
+#include "drivers/text/number.h"
+
 namespace abcal::pieces {
 namespace {
 
@@ -24,6 +28,26 @@ TEST(TextTest, SplitKeepsEmptyParts) {
 TEST(TextTest, WordsAreNeverEmpty) {
   EXPECT_THAT(words("  a  b\tc \n"), ElementsAre("a", "b", "c"));
   EXPECT_THAT(words(" "), IsEmpty());
+}
+
+TEST(TextTest, LowerChangesLettersOfAsciiOnly) {
+  EXPECT_EQ(lower("aB-Z9\xC4"), "ab-z9\xC4");
+}
+
+TEST(NumberTest, IsAllOfTheTextOrNone) {
+  EXPECT_EQ(number<double>("-1.5e3"), -1500.0);
+  EXPECT_EQ(number<int>("1F", 16), 31);
+  for (const char* none : {"", " 1", "1 ", "1x", "+1", "--1", "1e999"})
+    EXPECT_EQ(number<double>(none), std::nullopt);
+  EXPECT_EQ(number<std::uint16_t>("65536"), std::nullopt);
+  EXPECT_EQ(number<double>("1e3", std::chars_format::fixed), std::nullopt);
+}
+
+TEST(NumberTest, OnePlusSignIsTakenOffButNotThatOfAnotherSign) {
+  EXPECT_EQ(without_plus("+1"), "1");
+  EXPECT_EQ(without_plus("-1"), "-1");
+  EXPECT_EQ(number<int>(without_plus("+-1")), std::nullopt);
+  EXPECT_EQ(number<int>(without_plus("++1")), std::nullopt);
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/estimators/joint/collect_readings.h"
 #include "protocol/estimators/joint/noise_search.h"
 #include "protocol/estimators/joint/size_evidence.h"
 #include "protocol/estimators/joint/white_noise_fit.h"
@@ -176,14 +177,45 @@ std::vector<EffectReading> short_run(int steps, double noise) {
   std::mt19937_64 engine(11);
   RunRecord record = test::made_record({}, {}, steps, Angle::degrees(360.0 / steps));
   test::add_noise(record, noise, engine);
-  const std::vector<double> t = run_time_fractions(record);
-  std::vector<EffectReading> out;
-  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
-    const DwellRecord& dwell = record.dwells[i];
-    const SinCos alpha = sincos(dwell.alpha);
-    out.push_back({dwell.experiment, alpha.sin, alpha.cos, t[i], dwell.mean, *dwell.u_mean, -1});
+  record.axes_order = AxesOrder::kXThenZ;
+  record.approach = Angle::degrees(1.0);
+  return collect_readings(record).readings;
+}
+
+// A gain d before a cubic term k l^3 makes it k (1 + 3 d t) l^3, one after it k (1 + d t) l^3. Which of them
+// drifts is not known: the model has the middle of both, and the derivatives belong to it.
+TEST(EffectModelTest, HalfOfTheDriftOfTheSensitivityIsBeforeWhatBendsTheResponse) {
+  const std::vector<EffectReading> readings = short_run(12, 1e-6);
+  EffectModel model(readings, {});
+  Eigen::Index drift = -1, cubic = -1;
+  for (std::size_t i = 0; i < model.unknowns().size(); ++i) {
+    if (model.unknowns()[i].output != 0) continue;
+    if (model.unknowns()[i].effect == "sensitivity drift") drift = static_cast<Eigen::Index>(i);
+    if (model.unknowns()[i].effect == "k3") cubic = static_cast<Eigen::Index>(i);
   }
-  return out;
+  ASSERT_GE(drift, 0);
+  ASSERT_GE(cubic, 0);
+  const std::vector<double> steps(readings.size(), 0.0);
+  const std::vector<Eigen::Vector3d> signs(readings.size(), Eigen::Vector3d::Ones());
+  const auto at = [&](double d, double k) {
+    Eigen::VectorXd value = model.value();
+    value(drift) = d;
+    value(cubic) = k;
+    return model.readings_at(value, steps, signs);
+  };
+  constexpr double kD = 1e-3, kK = 0.1;
+  const Eigen::VectorXd both = at(kD, kK) - at(kD, 0.0) - at(0.0, kK) + at(0.0, 0.0);
+  const Eigen::VectorXd cube = (at(0.0, kK) - at(0.0, 0.0)) / kK;
+  for (std::size_t n = 0; n < readings.size(); ++n) {
+    const auto row = static_cast<Eigen::Index>(3 * n);
+    EXPECT_NEAR(both(row), 2.0 * kD * readings[n].t * kK * cube(row), 1e-3 * kD * kK) << n;
+  }
+  Eigen::VectorXd value = model.value();
+  value(drift) = kD;
+  value(cubic) = kK;
+  model.move_to(value, steps);
+  const Eigen::VectorXd by_drift = (at(kD + 1e-6, kK) - at(kD - 1e-6, kK)) / 2e-6;
+  EXPECT_LT((by_drift - model.jacobian().col(drift)).cwiseAbs().maxCoeff(), 1e-4);
 }
 
 double log_evidence_of(const std::vector<EffectReading>& readings, const EffectFitOptions& options) {
@@ -199,6 +231,10 @@ void expect_ratio_of_densities(bool noise_process, double tolerance) {
   const std::vector<EffectReading> readings = short_run(16, 1e-5);
   EffectFitOptions stated;
   stated.noise_process = noise_process;
+  stated.signs = EffectModel(readings, stated).signs();
+  for (Eigen::Vector3d& sign : stated.signs->mean)
+    sign = sign.unaryExpr([](double m) { return m < 0.0 ? -1.0 : 1.0; });
+  for (Eigen::Vector3d& variance : stated.signs->variance) variance.setZero();
   EffectModel model(readings, stated);
   ASSERT_TRUE(fit_with_white_noise(model).minimum.found);
   const NoiseSearch search = search_noise(model);
@@ -210,7 +246,6 @@ void expect_ratio_of_densities(bool noise_process, double tolerance) {
     ADD_FAILURE() << key;
     return 0.0;
   };
-  stated.signs = model.signs();
   EffectFitOptions larger = stated;
   larger.sizes.hysteresis *= 10.0;
   EXPECT_NEAR(ratio_of("hysteresis"),

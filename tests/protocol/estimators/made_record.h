@@ -6,6 +6,7 @@
 
 #include "protocol/estimators/shared/run_time.h"
 #include "protocol/model/forward_model.h"
+#include "protocol/record/imported_dwells.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal::test {
@@ -26,6 +27,7 @@ inline RunRecord made_record(const AccelerometerModel& accelerometer, const AcsE
       dwell.experiment = experiment;
       dwell.n = n;
       dwell.alpha = step * (n - 1);
+      set_commanded_angles(dwell);
       record.dwells.push_back(dwell);
     }
   }

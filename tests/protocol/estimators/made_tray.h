@@ -8,6 +8,7 @@
 
 #include "protocol/estimators/joint/effect_model.h"
 #include "protocol/model/effects.h"
+#include "protocol/record/imported_dwells.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal::test {
@@ -127,6 +128,7 @@ class TrayMaker {
       dwell.experiment = static_cast<int>(n) / plan_.steps + 1;
       dwell.n = static_cast<int>(n) % plan_.steps + 1;
       dwell.alpha = angle_of(static_cast<int>(n));
+      set_commanded_angles(dwell);
       dwell.time_s = 10.0 * static_cast<double>(n);
       for (int j = 0; j < 3; ++j) {
         double reading =

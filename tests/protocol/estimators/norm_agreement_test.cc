@@ -213,6 +213,7 @@ TEST(FewAngles, AbcHasACoverageFactorOfItsOwnAndCallsNoSoundRunDoubtful) {
   for (std::uint64_t seed = 600; seed < 660; ++seed) {
     RunRecord record = measured_on(kStage, seed, 4, 1e-3);
     for (DwellRecord& dwell : record.dwells) dwell.u_mean.reset();
+    record.tolerances.k2 = record.tolerances.k3 = 0.0;  // Four angles do not determine them.
     const CalibrationResult result = analyse_abc(record);
     EXPECT_EQ(result.verdict, Verdict::kUsable) << seed << ": " << result.why;
     for (const Quantity& offset : result.offset) {
@@ -229,6 +230,18 @@ TEST(FewAngles, AbcHasACoverageFactorOfItsOwnAndCallsNoSoundRunDoubtful) {
     if (dwell.experiment == 2) dwell.mean.array() += 0.01;
   EXPECT_EQ(analyse_abc(record).verdict, Verdict::kDoubtful);
   EXPECT_THAT(analyse_abc(record).why, HasSubstr("closure C"));
+}
+
+// k3 of the default size leaves u of s at 0.4 %, and it is what more angles would show: the rule of all
+// estimators.
+TEST(FewAngles, AbcOfFourAnglesDoesNotDetermineK3AndIsDoubtful) {
+  const CalibrationResult four = analyse_abc(measured_on(kStage, 1, 4, 1e-5));
+  EXPECT_GT((*four.sensitivity_matrix)[0][0].standard_uncertainty, 2e-3);
+  EXPECT_EQ(four.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(four.why, HasSubstr("these angles do not determine k3. Measure more angles on full circles"));
+  const CalibrationResult twelve = analyse_abc(measured_on(kStage, 1, 12, 1e-5));
+  EXPECT_EQ(twelve.verdict, Verdict::kUsable) << twelve.why;
+  EXPECT_THAT(twelve.why, HasSubstr("36 angles in three experiments (12 + 12 + 12) determine the result"));
 }
 
 }  // namespace

@@ -41,6 +41,21 @@ TEST(EffectsTest, EverySizeBelongsToAKeyAndEveryUnknownHasAName) {
   }
 }
 
+// Half the Legendre polynomials of orders 1 to 3 have the slopes 1, 3 and 6 at the ends of the run; a
+// cyclic drift of 2 to 6 cycles that of 2 pi times the root of 4 + 9 + 16 + 25 + 36; all are independent.
+TEST(EffectsTest, TheLargestDriftRateIsThatOfTheStatedEffects) {
+  EffectSizes sizes = without_further_effects({});
+  sizes.sensitivity_drift = 0.0;
+  sizes.drift = 1e-4;
+  EXPECT_NEAR(largest_drift_rate(sizes), 1e-4 * std::sqrt(1.0 + 9.0 + 36.0), 4e-5);
+  sizes.drift = 0.0;
+  EXPECT_EQ(largest_drift_rate(sizes), 0.0);
+  sizes.sensitivity_drift = 1e-4;
+  EXPECT_NEAR(largest_drift_rate(sizes), 1e-4, 1e-9);
+  sizes.cyclic_drift = 1e-4;
+  EXPECT_NEAR(largest_drift_rate(sizes), 2e-4 * std::numbers::pi * std::sqrt(90.0), 6e-5);
+}
+
 TEST(StageModelTest, IsTheForwardModelWithoutTilts) {
   AcsErrors acs;
   acs.alignment = {0.01, -0.007, 0.004};

@@ -331,6 +331,45 @@ TEST(ImportCsvTest, HeaderProblemsNameTheColumn) {
   EXPECT_EQ(problems_of("1,1,0,1,1,1\n").size(), 6U);  // no header at all: each column is missing
 }
 
+TEST(ImportCsvTest, AnglesInRadiansAreRefusedAndDegreesNeverTakenForThem) {
+  const auto circles = [](int steps, double step, int decimals, int last) {
+    std::string text = kHeader;
+    for (int experiment = 1; experiment <= 3; ++experiment)
+      for (int n = 1; n <= last; ++n)
+        text +=
+            fmt::format("{},{},{:.{}f},0.5,-0.25,{}\n", experiment, n, step * (n - 1), decimals, n % steps);
+    return text;
+  };
+  constexpr double kTurn = 6.283185307179586;
+  for (const int steps : {4, 5, 12, 24, 72, 100})
+    for (const int last : {steps, steps + 1})
+      EXPECT_THAT(problems_of(circles(steps, kTurn / steps, 4, last)),
+                  Contains(problem("alpha_deg", "so they are radians", "multiply every angle by 180/pi")))
+          << steps;
+  EXPECT_THAT(problems_of(circles(12, kTurn / 12, 2, 12)),
+              Contains(problem("alpha_deg", "5.76 is 330 degrees", "")));
+  EXPECT_THAT(problems_of(circles(12, -kTurn / 12, 4, 12)), Contains(problem("alpha_deg", "radians", "")));
+  for (const double step : {0.5, 1.0, 5.0, 30.0, 90.0})
+    EXPECT_TRUE(problems_of(circles(7, step, 4, 7)).empty()) << step;
+}
+
+TEST(ImportCsvTest, TheOrderOfRowsIsThatOfTimeOnlyWhereItIsStated) {
+  EXPECT_TRUE(imported(kHeader + good_rows()).order_assumed);
+  EXPECT_FALSE(imported("# row_order: time\n" + (kHeader + good_rows())).order_assumed);
+  EXPECT_THAT(problems_of("# row_order: angle\n" + (kHeader + good_rows())),
+              Contains(problem("row_order", "angle", "time: the rows are in the order of measurement")));
+  std::string timed = "experiment,n,alpha_deg,r_u,r_v,r_w,time_s\n", one_missing = timed;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int n = 1; n <= 4; ++n) {
+      const std::string row = fmt::format("{},{},{},0.5,-0.25,{},", experiment, n, 90 * (n - 1), n);
+      timed += fmt::format("{}{}\n", row, 10 * experiment + n);
+      one_missing += experiment == 2 && n == 2 ? row + "\n" : fmt::format("{}{}\n", row, 10 * experiment + n);
+    }
+  }
+  EXPECT_FALSE(imported(timed).order_assumed);
+  EXPECT_TRUE(imported(one_missing).order_assumed);
+}
+
 TEST(ImportCsvTest, TooFewAnglesAreRefused) {
   const std::string text = std::string(kHeader) + "1,1,0,1,1,1\n1,2,90,1,1,1\n1,3,360,1,1,1\n2,1,0,1,1,1\n";
   const std::vector<Problem> problems = problems_of(text);

@@ -93,7 +93,8 @@ TEST(FullScale, IsSeenInACircleWhateverOffsetAndMounting) {
       Eigen::AngleAxisd(0.4, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
   for (int experiment = 1; experiment <= 3; ++experiment) {
     const auto dwells = circle(experiment, 12, accelerometer);
-    EXPECT_NEAR(*response_of_circle(dwells), 1.0, 1e-12);
+    EXPECT_NEAR(response_of_circle(dwells)->at_zero, 1.0, 1e-12);
+    EXPECT_NEAR(response_of_circle(dwells)->at_one_g, 1.0, 1e-12);
     EXPECT_FALSE(full_scale_excess(dwells, 1.0, {}));
     EXPECT_THAT(*full_scale_excess(dwells, 1.01, {}), HasSubstr("-0.99 % from the nominal"));
     EXPECT_THAT(*full_scale_excess(dwells, 0.99, {}), HasSubstr("+1.01 %"));
@@ -106,10 +107,31 @@ TEST(FullScale, AxesThatAreNotOrthogonalDoNotLookLikeAWrongOne) {
   EXPECT_FALSE(full_scale_excess(circle(1, 8, accelerometer), 1.0, {}));
 }
 
+// k2 and k3 drawn at the default size of 1e-2: a sound item, whose response at 1 g differs by some per cent.
+TEST(FullScale, ASoundItemThatIsNotLinearIsNoWrongOne) {
+  std::mt19937_64 engine(7);
+  std::normal_distribution<double> normal(0.0, 1e-2);
+  for (int item = 0; item < 200; ++item) {
+    AccelerometerModel accelerometer;
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      accelerometer.k2(j) = normal(engine);
+      accelerometer.k3(j) = normal(engine);
+    }
+    for (int experiment = 1; experiment <= 3; ++experiment) {
+      const auto dwells = circle(experiment, 12, accelerometer);
+      EXPECT_EQ(full_scale_excess(dwells, 1.0, {}).value_or(""), "");
+      EXPECT_NEAR(response_of_circle(dwells)->at_zero, 1.0, 1e-3);
+      // Twice the nominal is found all the same.
+      EXPECT_TRUE(full_scale_excess(dwells, 0.5, {}));
+    }
+  }
+}
+
 TEST(FullScale, IsNotJudgedFromPartOfACircle) {
   auto dwells = circle(1, 12, {});
   dwells.resize(9);
   EXPECT_FALSE(response_of_circle(dwells));
+  EXPECT_FALSE(response_of_circle(circle(1, 6, {})));  // three pairs
   EXPECT_FALSE(response_of_circle(circle(1, 7, {})));  // no angles 180 degrees apart
 }
 

@@ -142,6 +142,27 @@ TEST_F(SettlingTest, AFixedTimeThatIsTooShortIsToldOnce) {
   EXPECT_THAT(observer.notices[0].second, HasSubstr("settle_s = 0.5 is too short"));
 }
 
+// A quiet item drifts by much more than its noise while it dwells: by what is stated, that is no way to rest.
+TEST_F(SettlingTest, TheStatedDriftIsNoMotion) {
+  settings.protocol.settle_auto = true;
+  constexpr double kDriftPerS = 2e-6;
+  const auto quiet = [this](double drift_per_s) {
+    accelerometer.output = [drift_per_s](std::uint64_t k) -> Eigen::Vector3d {
+      const Eigen::Vector3d mean(0.1, 0.2, 1.0);
+      return mean + 1e-3 * (noisy(k) - mean) +
+             0.01 * drift_per_s * static_cast<double>(k) * Eigen::Vector3d::UnitX();
+    };
+    std::vector<Reading> dwell;
+    for (int k = 0; k < 200; ++k) dwell.push_back(*accelerometer.next(clock.now() + from_seconds(1.0)));
+    Settling part = settling();
+    return part.find_rest(clock.now()).quiet && part.read_until_at_rest(dwell);
+  };
+  EXPECT_FALSE(quiet(2.0 * kDriftPerS)) << "nothing is known of a drift";
+  context().drift_per_s = kDriftPerS;
+  EXPECT_TRUE(quiet(2.0 * kDriftPerS));
+  EXPECT_FALSE(quiet(20.0 * kDriftPerS)) << "it is not as stated";
+}
+
 TEST(CreepTest, ChangesOfNoAccountAreNoneThoughTheOutputHasNoNoise) {
   std::vector<Reading> readings(100);
   for (std::size_t k = 0; k < readings.size(); ++k)

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/record/imported_dwells.h"
 #include "protocol/uncertainty/joint_trials.h"
 #include "protocol/uncertainty/random_shapes.h"
 #include "protocol/uncertainty/run_uncertainty.h"
@@ -46,6 +47,7 @@ RunRecord measured(int steps, EffectSizes tolerances = without_further_effects({
       dwell.experiment = i + 1;
       dwell.n = n + 1;
       dwell.alpha = record.step * n;
+      set_commanded_angles(dwell);
       dwell.time_s = 10.0 * static_cast<double>(record.dwells.size());
       dwell.mean = readings[static_cast<std::size_t>(i)].row(n).transpose();
       for (double& reading : dwell.mean) reading += noise * stream.normal();
@@ -91,7 +93,10 @@ TEST(JointUncertaintyTest, ATrialIsSolvedAsTheEstimatorItselfSolvesIt) {
 // With normal distributions and a nearly linear model the errors have the posterior covariance. 3000 trials
 // give u to 1.3 %, 95 % intervals to 2.5 %; the largest of 18 to four of these.
 TEST(JointUncertaintyTest, NormalEffectsGiveThePosterior) {
-  const RunRecord record = measured(24, EffectSizes{});
+  RunRecord record = measured(24, EffectSizes{});
+  // As a run file states them. Signs of the hysteresis that nobody knows are stated too large by up to 12 %.
+  record.axes_order = AxesOrder::kXThenZ;
+  record.approach = Angle::degrees(1.0);
   const RunUncertainty study = joint_uncertainty(record, with_trials(3000));
   for (int k = 0; k < kStudyOutputs; ++k) {
     EXPECT_NEAR(study.combined.standard_deviation(k) / study.joint->standard_uncertainty(k), 1.0, 0.06)

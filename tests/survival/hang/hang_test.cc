@@ -25,6 +25,7 @@
 
 #include "app/faces/console/bench_service.h"
 #include "app/operate/bench/halt_guard.h"
+#include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/app/program_fixtures.h"
@@ -62,36 +63,22 @@ enum class Injection {
   kStopBench,      ///< SIGSTOP of the process that holds the bench of a console.
 };
 
+constexpr auto kInjections = names<Injection>({{Injection::kStopRun, "stop_run"},
+                                               {Injection::kStopThread, "stop_thread"},
+                                               {Injection::kKillRun, "kill_run"},
+                                               {Injection::kKillGuard, "kill_guard"},
+                                               {Injection::kStopGuard, "stop_guard"},
+                                               {Injection::kUnplug, "unplug"},
+                                               {Injection::kUnplugAndKill, "unplug_and_kill"},
+                                               {Injection::kFreezeBoth, "freeze_both"},
+                                               {Injection::kBabble, "babble"},
+                                               {Injection::kLongBabble, "long_babble"},
+                                               {Injection::kKillBoth, "kill_both"},
+                                               {Injection::kSecondRun, "second_run"},
+                                               {Injection::kStopBench, "stop_bench"}});
+
 std::string name_of(Injection injection) {
-  switch (injection) {
-    case Injection::kStopRun:
-      return "stop_run";
-    case Injection::kStopThread:
-      return "stop_thread";
-    case Injection::kKillRun:
-      return "kill_run";
-    case Injection::kKillGuard:
-      return "kill_guard";
-    case Injection::kStopGuard:
-      return "stop_guard";
-    case Injection::kUnplug:
-      return "unplug";
-    case Injection::kUnplugAndKill:
-      return "unplug_and_kill";
-    case Injection::kFreezeBoth:
-      return "freeze_both";
-    case Injection::kBabble:
-      return "babble";
-    case Injection::kLongBabble:
-      return "long_babble";
-    case Injection::kKillBoth:
-      return "kill_both";
-    case Injection::kSecondRun:
-      return "second_run";
-    case Injection::kStopBench:
-      return "stop_bench";
-  }
-  return "";
+  return std::string(kInjections.of(injection));
 }
 
 /// The guard that a program has started; -1: none.

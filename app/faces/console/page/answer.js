@@ -16,6 +16,14 @@ function withExpanded(q) {
   return `${signed(q.value, digits)} ± ${expanded === null ? t('not known') : expanded.toFixed(digits)}`;
 }
 
+// The values of a group of the result's `quantities`, row by row.
+export const valuesOf = (result, group) => [group.path.split('/').slice(1).reduce((part, key) => part[key], result)].flat(2);
+
+// Outputs beyond those of the protocol, which have tables of their own.
+const furtherOutputs = (result) => result.quantities.filter(({kind, of_protocol: ofProtocol}) => kind === 'output' && !ofProtocol)
+  .map((group) => scrollable('stack scroll-x', group.heading, table(`${group.heading} ± U`, [t('Quantity'), t('Value'), t('Unit')],
+    valuesOf(result, group).map((q, i) => [group.symbols[i], withExpanded(q), q.unit]))));
+
 const unitOf = (quantities) => quantities.find(({unit}) => unit)?.unit || '1';
 
 export function answer(result, dominates) {
@@ -28,7 +36,7 @@ export function answer(result, dominates) {
   }
   const properties = table(t`What does not depend on the mounting, ± U`, [t('Output'), t`Sensitivity (${unitOf(s)})`, t`Offset (${unitOf(O)})`, t('Angle between outputs'), t`Angle (${unitOf(phi)})`],
     OUTPUTS.map((name, j) => [name, withExpanded(s[j]), withExpanded(O[j]), ['u, v', 'v, w', 'w, u'][j], withExpanded(phi[j])]));
-  if (isUsable) parts.push(scrollable('stack scroll-x', t('Intrinsic properties'), properties), element('p', {}, COVERED));
+  if (isUsable) parts.push(scrollable('stack scroll-x', t('Intrinsic properties'), properties), ...furtherOutputs(result), element('p', {}, COVERED));
   if (dominates.length) {
     const share = ({output, share: part}) => `${output} ${part === null ? DASH : Math.round(100 * part)} %`;
     parts.push(element('p', {}, t('What dominates U (largest part of the variance):')),

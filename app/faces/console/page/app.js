@@ -86,8 +86,8 @@ function show() {
   offer(there);
 }
 
-// Offers the requests that are possible now. Buttons of another activity are hidden; others that cannot be used say why. One button
-// is the next step, and looks so.
+// Offers the requests that are possible now. Buttons of another activity are hidden; others that cannot be used show the reason. One
+// button is the next step, and looks so.
 function offer(there) {
   const steer = there && me !== null && steering.page === me;
   const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
@@ -138,7 +138,7 @@ function offerHandOver(there) {
   if (byId('who-watches').textContent !== watching) byId('who-watches').textContent = watching;
 }
 
-// The button of the next step; empty: there is none, or another page takes it.
+// The button of the next step; empty if there is none, or if another page takes it.
 function nextStep(there, steer, idle, held) {
   if (!there || me === null || !maySteer) return '';
   if (idle && readiness.offersDemo && (steer || steering.page === null)) return 'try-demo';
@@ -166,12 +166,12 @@ async function ask(name, request, {moves = true} = {}) {
 }
 
 byId('log-out').addEventListener('click', async () => {
-  await fetch('/logout', {method: 'POST'}).catch(() => {});  // The page that is loaded next says whether there is contact.
+  await fetch('/logout', {method: 'POST'}).catch(() => {});  // The next page shows whether there is contact.
   location.replace('/');
 });
 
 // A person's yes, by a dialog that begins at "Cancel".
-// more: a form that stands in it (open(holder, yes)).
+// more: a form inside it (open(holder, yes)).
 function confirmed(title, text, yes, more = null) {
   const dialog = byId('confirm');
   byId('confirm-title').textContent = title;
@@ -190,7 +190,8 @@ const CLEAR = t('Is the stage free to turn, and is everybody clear of it?');
 const page = {ask, confirmed, clear: CLEAR, pace: () => live.about?.pace ?? 1};
 const readiness = new Readiness(async () => {
   if (steering.page !== me && !(await ask(t('Control'), {do: 'control'}, {moves: false}))) return;
-  for (let i = 0; i < 40 && byId('do-start').disabled; ++i) await new Promise((done) => setTimeout(done, 50));  // The bench tells who steers.
+  // The bench reports who steers.
+  for (let i = 0; i < 40 && byId('do-start').disabled; ++i) await new Promise((done) => setTimeout(done, 50));
   byId('do-start').click();
 });
 dayViews = [new QueueView(page), new BenchView(page), new JogForm(page), readiness];

@@ -1,4 +1,4 @@
-// Works as fetch(), but if no answer comes, the error has a text of this page instead of the browser's.
+// Works as fetch(), but if no answer arrives, the error has a text of this page instead of the browser's.
 export async function fetched(path, options = {}, unanswered = 'there is no connection to the console') {
   try {
     return await fetch(path, options);

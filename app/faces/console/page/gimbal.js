@@ -36,7 +36,7 @@ function ghostOf({x, z}) {
   return `${path(circle(PLATTER).map((p) => outer(turn(p))))} ${path([[HALF, 0, 0], [PLATTER, 0, 0]].map((p) => outer(turn(p))), false)}`;
 }
 
-// target: the commanded angles, drawn as a ghost while the stage is not there; null: not known. picture: the SVG.
+// target: the commanded angles, drawn as a ghost until the stage has reached them; null: unknown. picture: the SVG.
 export function drawGimbal(xDeg, zDeg, target = null, picture = byId('gimbal')) {
   const part = (name) => picture.querySelector(`.${name}`);
   const outer = aboutX(xDeg * Math.PI / 180), turn = aboutZ(zDeg * Math.PI / 180);

@@ -36,6 +36,6 @@ export function resultItems(run, shown) {
     if (item.k === shown) made.classList.add('shown');
     return made;
   };
-  // The cards stand below no other heading but the hidden one of the view.
+  // The only heading above the cards is the hidden one of the view.
   return element('div', {id: 'result-items', role: 'navigation', 'aria-label': t('Items of this run'), class: 'no-print'}, element('h3', {class: 'visually-hidden'}, t('Items of this run')), element('ul', {class: 'items'}, ...run.items.map(card)));
 }

@@ -3,7 +3,7 @@ import {byId} from '/text.js';
 import {tell} from '/stop.js';
 import {t} from '/language.js';
 
-const SIGN_EACH_MS = 100;  // The bench halts the axis if it hears none for 300 ms.
+const SIGN_EACH_MS = 100;  // The bench halts the axis if it receives none for 300 ms.
 
 export class JogForm {
   constructor({ask, confirmed, clear}) {
@@ -49,7 +49,7 @@ export class JogForm {
   }
 
   offer(steer, idle) {
-    // A button that is held stays enabled: a disabled one hears no release.
+    // A button that is held stays enabled: a disabled one receives no release.
     for (const id of ['jog-up', 'jog-down']) byId(id).disabled = !this.signs && !(steer && idle);
     if (!steer) this.letGo();
   }

@@ -182,7 +182,7 @@ export class LiveView {
     this.dirty.add('items').add('strip');
   }
 
-  // Sets whether the server is heard. Without contact the remaining time does not count down.
+  // Sets whether messages of the server arrive. Without contact the remaining time does not count down.
   setContact(contact) {
     if (this.contact === contact) return;
     this.countDown();  // With the last known data; a run may have ended a moment ago.
@@ -241,7 +241,7 @@ export class LiveView {
   }
 
   countDown() {
-    if (this.contact === false) return;  // It is unknown whether the run goes on.
+    if (this.contact === false) return;  // It is unknown whether the run continues.
     const elapsed = (performance.now() - this.leftSince) / 1000;
     this.leftSince = performance.now();
     const phase = this.phase?.phase ?? '', port = phase.startsWith('waiting for a port');
@@ -331,7 +331,7 @@ export class LiveView {
     if (plotted === 'residual') return showResiduals(chart, dwells, {unit: this.unit, at: ({x}) => x});
     const fits = dwells.length ? this.fits[i] : null, byX = new Map();
     for (let x = 0; fits && x <= 360; x += 5) byX.set(x, null);
-    // Angles at one place, e.g. of both faces, stand beside each other.
+    // Angles at one place, e.g. of both faces, are drawn next to each other.
     const xs = [...[...byX.keys()].map((x) => ({x, dwell: null})), ...dwells.map((dwell) => ({x: dwell.x, dwell}))].sort((a, b) => a.x - b.x);
     chart.unit = this.unit;
     chart.show(xs.map(({x}) => x), [...OUTPUTS.map((_, j) => xs.map(({dwell}) => dwell?.mean[j] ?? null)), ...OUTPUTS.map((_, j) => xs.map(({x}) => (fits?.[j] ? this.fitted(fits[j], x) : null)))],

@@ -261,7 +261,7 @@ export function overNames(holder, {name, x, y, names, values, us = null, unit = 
   const chart = new Chart(holder, {name, y, series: outputSeries(), x: {words: x, whole: [-0.6, names.length - 0.4], splits: (min, max) => names.map((_, i) => i).filter((i) => i >= min && i <= max),
     values: (_, splits) => splits.map((i) => names[i] ?? ''), say: (at) => names[Math.round(at)] ?? ''}});
   chart.unit = unit;
-  // The three outputs of a name stand beside each other.
+  // The three outputs of a name are drawn next to each other.
   const xs = [], columns = OUTPUTS.map(() => []), bars = OUTPUTS.map(() => []);
   names.forEach((_, i) => OUTPUTS.forEach((__, j) => {
     xs.push(i + 0.16 * (j - 1));

@@ -1,5 +1,5 @@
 // Plays a finished run: its angles appear in the charts as they were measured, and the stage turns with them. Flagged angles are marks on
-// the time line. While it plays, REPLAY stands over it: nothing of it is the present state of the bench.
+// the time line. While it plays, REPLAY is shown above it, since it does not show the present state of the bench.
 import {byId, duration, element} from '/text.js';
 import {drawGimbal} from '/gimbal.js';
 import {t} from '/language.js';

@@ -147,7 +147,7 @@ export class Residuals {
     for (const [chart, entries, at] of this.shown) showResiduals(chart, this.until === Infinity ? entries : entries.filter((e) => e.time_s <= this.until), {unit: this.unit, at});
   }
 
-  // Dashed lines where something happened, e.g. a note or a port that came back; their words are in the table of the events.
+  // Dashed lines where something happened, e.g. a note or a port that returned; their words are in the table of the events.
   markEvents() {
     const begun = Date.parse(this.angles.begun_utc);
     if (!Number.isFinite(begun)) return;  // Simulated time.

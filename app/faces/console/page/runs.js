@@ -8,7 +8,7 @@ import {certificateCard} from '/approve.js';
 import {resultItems} from '/items.js';
 import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
-import {answer, VERDICTS, VERDICT_SIGNS} from '/answer.js';
+import {answer, valuesOf, VERDICTS, VERDICT_SIGNS} from '/answer.js';
 import {motionCard} from '/motion.js';
 import {Residuals} from '/residuals.js';
 import {Chart, OUTPUTS, overNames, place} from '/plots.js';
@@ -157,7 +157,7 @@ function drawList(page) {
     element('tbody', {}, ...shown.map(row))));
 }
 
-// Shows how all runs of one item or bench came out, and the way to its control charts.
+// Shows the results of all runs of one item or bench, with links to its control charts.
 function drawLife({found, verdicts, first_utc: first, last_utc: last}) {
   const life = byId('run-life'), [kind] = Object.keys(only), name = only[kind];
   life.hidden = !kind;
@@ -290,15 +290,10 @@ function downloads(kinds, run, item) {
   return element('div', {}, bar, making);
 }
 
+// The outputs of a result by their symbols.
 function quantities(result) {
-  const all = [];
-  if (result.sensitivity_matrix) {
-    result.sensitivity_matrix.forEach((row, j) => row.forEach((q, k) => all.push([`s_${OUTPUTS[j]}${'xyz'[k]}`, q])));
-  }
-  result.intrinsic_sensitivity.forEach((q, j) => all.push([`s_${OUTPUTS[j]}`, q]));
-  result.intrinsic_angle.forEach((q, j) => all.push([`phi_${['uv', 'vw', 'wu'][j]}`, q]));
-  result.offset.forEach((q, j) => all.push([`O_${OUTPUTS[j]}`, q]));
-  return new Map(all);
+  const outputs = result.quantities.filter(({kind}) => kind === 'output');
+  return new Map(outputs.flatMap((group) => valuesOf(result, group).map((q, i) => [group.symbols[i], q])));
 }
 
 // The main results in the words and digits of the certificate: a scope of the laboratory may have raised U.
@@ -475,7 +470,7 @@ export async function showChart(serial, property = PROPERTIES[0]) {
   }
   const measured = (run) => run.items.filter((item) => item.dropped === null).map((item) => item.serial_number);
   const items = [...new Set(list.filter((run) => run.state === 'complete').flatMap(measured).filter(Boolean))].sort();
-  // Charts of the register are told from the items of the folder by their group.
+  // Charts of the register are distinguished from the items of the folder by their group.
   const frozen = await fetched('/check-charts').then((response) => (response.ok ? response.json() : []), () => []);
   const group = (words, options) => (options.length ? [element('optgroup', {label: words}, ...options)] : []);
   byId('chart-item').replaceChildren(...group(t('Approved baselines of the register'), frozen.map(({name}) => element('option', {value: `${FROZEN}${name}`, selected: `${FROZEN}${name}` === serial}, name))),
@@ -491,7 +486,7 @@ export async function showChart(serial, property = PROPERTIES[0]) {
   else drawChart(byId('chart-item').value, byId('chart-property').value);
 }
 
-// Places of the numbers of `count` runs on an axis, at most some eight of them.
+// Places of the numbers of `count` runs on an axis, at most about eight.
 const numbersOf = (count) => (min, max) => {
   const each = Math.max(1, Math.ceil((max - min) / 8));
   return Array.from({length: count}, (_, i) => i + 1).filter((x) => x >= min && x <= max && (x - 1) % each === 0);

@@ -29,9 +29,9 @@ const scientific = (value, unit) => (value === null ? DASH : `${value >= 0.01 ? 
 
 const TOO_MANY = 429, AGAIN_MS = 500;
 
-// The run that would be started, with `fields` in place of the bench file's own: the answer of the console, which without a
-// `plan` tells in `problems` why. If newer questions of this person took its place (another page, or a form that is open), it is asked
-// again. signal: withdraws the question.
+// The run that would be started, with `fields` in place of the bench file's own: the answer of the console, which without a `plan`
+// gives the reasons in `problems`. If newer questions of this person took its place (another page, or a form that is open), it is
+// asked again. signal: withdraws the question.
 export async function startFormAnswer(fields = {}, signal = undefined) {
   const chosen = new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''));
   try {

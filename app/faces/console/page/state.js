@@ -18,7 +18,7 @@ const BRIEF = {moving: t('the stage moves'), settling: t('settling'), reading: t
 // The brief phases in words, for a place that nobody has to read; empty for the others.
 export const phaseWords = (phase) => BRIEF[phase?.phase] ?? '';
 
-// How long a phase may last; empty: for ever. In simulated time that differs from the real time that a person sees pass.
+// How long a phase may last; empty: no limit. In simulated time that differs from the real time that a person sees pass.
 export function limitWords(phase) {
   if (!Number.isFinite(phase?.limit_s)) return '';
   const time = phase.limit_s < 1 ? small(phase.limit_s, 's') : duration(phase.limit_s);
@@ -39,7 +39,8 @@ const ADVICE = {
   'implausible readings': t('Look at the accelerometer and its cable; then check the bench.'),
 };
 
-// view: {known, activity, phase, run, ended, fault, bench, axes}, each as the messages have them; known: something was said at all.
+// view: {known, activity, phase, run, ended, fault, bench, axes}, each as the messages have them; known: whether any message has
+// arrived.
 export function stateOf(view) {
   const {known, activity, phase, ended, fault, bench, axes} = view, plain = plainState(view);
   if (!known || bench.state !== 'on') return plain;

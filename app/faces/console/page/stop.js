@@ -3,8 +3,8 @@
 // first script of the page and waits neither for style sheets nor for other scripts (async).
 export const SILENT_AFTER_MS = 3000;
 export const UNCONFIRMED_AFTER_MS = 2000;
-const LOADED_WITHIN_MS = 5000;  // After this time the banner says that other modules are missing.
-const MOST_EARLY = 2000;  // So many messages may wait for the other modules.
+const LOADED_WITHIN_MS = 5000;  // After this time the banner reports that other modules are missing.
+const MOST_EARLY = 2000;  // The most messages that may wait for the other modules.
 
 const byId = (id) => document.getElementById(id);
 
@@ -27,7 +27,7 @@ const nameOf = (address) => address.replace(`${location.origin}/`, '');
 addEventListener('error', ({target, error}) => {
   if (target !== window) {
     if (target.matches('script, link[rel=stylesheet]')) fail(nameOf(target.src || target.href));
-  } else if (error) {  // Notices of the browser come without an error: nothing was thrown.
+  } else if (error) {  // Notices of the browser have no error: nothing was thrown.
     fail(String(error));
   }
 }, {capture: true});
@@ -47,7 +47,7 @@ function safely(act) {
 }
 
 // The rest of the page has two functions: receive(message), and contact(), which is called each second and whenever contact begins
-// or ends. It receives messages that came before it was attached. If there were too many, the connection is opened again and begins
+// or ends. It receives messages that arrived before it was attached. If there were too many, the connection is opened again and begins
 // with the whole state.
 let rest = null, early = [], tooMany = false;
 export function attach(listener) {
@@ -97,7 +97,7 @@ function open() {
   };
 }
 
-// Loads the page again if its login has ended: a WebSocket that is refused does not say why.
+// Loads the page again if its login has ended: a WebSocket that is refused does not report the reason.
 async function askWho() {
   try {
     if ((await fetch('/who')).status === 401) location.reload();
@@ -124,7 +124,7 @@ function receive(message) {
   pass(message);
 }
 
-// Sends a request. The answer is {ok, why}. With `unsent` the request was not sent; with `lost` no answer came, and it is not known
+// Sends a request. The answer is {ok, why}. With `unsent` the request was not sent; with `lost` no answer arrived, and it is unknown
 // whether the request was carried out.
 export function ask(request) {
   if (!connected()) return Promise.resolve({ok: false, unsent: true, why: t('there is no connection to the console')});
@@ -155,7 +155,7 @@ function note(message) {
     ({activity, fault} = message);
     byId('bench-name').textContent = message.about.bench_file;
     bench = message.bench ?? {state: 'on'};
-    // Somebody may have moved the axes again while this page had no connection.
+    // The axes may have been moved again while this page had no connection.
     if (message.halt) showHalt(message.halt);
     else if (activity.activity === 'idle' || haltKnown) clearHalt();
   } else if (message.type === 'activity') {
@@ -230,7 +230,8 @@ let written = '';
 function write(seen, count = '') {
   const there = contact();
   const word = there ? seen.word : t('No contact');
-  // While the process that holds the bench is silent or gone, the console still tells so, and what the guard of the axes says.
+  // While the process that holds the bench is silent or gone, the console still reports this, and the state of the axes from their
+  // guard.
   const isPresent = there || !seen.known || (connected() && bench.state !== 'on');
   const sentence = isPresent ? seen.sentence : t`Last known: ${seen.word}. ${seen.sentence}`;
   const [kind, icon] = there ? [seen.kind, seen.icon] : ['lost', 'lost'];
@@ -274,7 +275,7 @@ function show() {
   for (const id of ['do-stop', 'dialog-stop']) byId(id).disabled = !mayMove;
 }
 
-// ---- Stop is sent at once. It is complete when each axis has confirmed that it stands still.
+// ---- Stop is sent at once. It is complete when each axis has confirmed standstill.
 
 let stopping = null;  // The timer that runs until the axes have answered.
 let haltKnown = false;  // True if #halt shows the answer of the axes.

@@ -35,7 +35,7 @@ export function offerZoom(chart) {
     does();
   });
   const placeOf = ({clientX}) => { const {left, width} = chart.plot.over.getBoundingClientRect(); return Math.min(1, Math.max(0, (clientX - left) / width)); };
-  // Without the focus the wheel scrolls the page; a pinch on a touch pad comes as a wheel with Ctrl.
+  // Without the focus the wheel scrolls the page; a pinch on a touch pad is reported as a wheel with Ctrl.
   holder.addEventListener('wheel', (event) => {
     if (!event.ctrlKey && document.activeElement !== holder) return;
     event.preventDefault();

@@ -40,7 +40,7 @@ class Certificate {
 struct CertificateChoices {
   std::filesystem::path laboratory;     ///< Laboratory file (TOML).
   std::filesystem::path as_found = {};  ///< Run of the item before it was adjusted; empty: none.
-  std::filesystem::path schemas = {};   ///< Instead of those that come with abcal.
+  std::filesystem::path schemas = {};   ///< Instead of those that are installed with abcal.
   std::string language = {};            ///< Instead of the laboratory file's.
 };
 

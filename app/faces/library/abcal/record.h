@@ -36,7 +36,7 @@ struct RecordArrays {
 };
 
 /// Facts of a record that its arrays do not contain. Sizes of effects that are not stated have their
-/// defaults, and results say so.
+/// defaults, which results report.
 struct RecordSettings {
   std::string source = "arrays";    ///< Names the record in messages.
   std::string response_unit = "R";  ///< "g", "m/s2", "V", "LSB", ...

@@ -25,6 +25,17 @@ struct EffectFound {
   bool agrees = true;
 };
 
+/// Quantities of one kind in a result, as the program describes them in every output.
+struct QuantityGroup {
+  std::string key;                   ///< "intrinsic_angle": as in JSON and HDF5.
+  std::string heading;               ///< "Intrinsic angles"
+  std::string meaning;               ///< "between UV, VW, WU"
+  std::string kind;                  ///< "output", "stage", "accelerometer", "motion"
+  std::string frame;                 ///< Whose axes: "item" (free of the mounting), "platter", "stage".
+  std::vector<std::string> symbols;  ///< The symbols of the values, row by row.
+  Values values;
+};
+
 /// The result of the estimator "abc" by the formula of the paper (Geist & Gaitan 2021, Eqs. 5 to 10), not
 /// corrected for k2 and k3: what another laboratory's ABC result is compared with. Type B covers alignment,
 /// turns, zeros and step errors of the stage, as in the paper, and no other effect.
@@ -56,6 +67,8 @@ class Result {
   /// Covariance of the nine outputs that do not depend on the mounting: intrinsic sensitivities and angles,
   /// offsets.
   const Covariance& covariance_intrinsic() const;
+  /// Every quantity of the result, also those that have no function of their own here.
+  const std::vector<QuantityGroup>& quantities() const;
   /// Effects tested by the joint estimator; empty for the others.
   std::vector<EffectFound> effects() const;
   /// The joint estimator's alignment Zx, Zy, Xz (1); empty for the others.
@@ -84,7 +97,7 @@ std::vector<std::string> estimators();
 
 /// @param estimator  empty: the one chosen before the first angle, "abc" if none was recorded
 /// @throws std::invalid_argument for a name that is not in estimators(). A record that the estimator refuses
-/// is no error: its result is not usable, and why() gives the reason.
+/// is not an error: its result is not usable, and why() gives the reason.
 Result analyse(const Record& record, const std::string& estimator = {});
 
 /// How the joint estimator is run, for studies; the defaults are analyse(record, "joint").

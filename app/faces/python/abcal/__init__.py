@@ -37,6 +37,7 @@ from ._abcal import (  # noqa: F401
     PlanAnswer,
     PredictedPlan,
     Published,
+    QuantityGroup,
     Record,
     Result,
     SimulatedRecord,
