@@ -1,7 +1,6 @@
 #include "protocol/record/dwell_rows.h"
 
 #include <algorithm>
-#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -20,50 +19,6 @@ namespace {
 constexpr double kNanosecondsPerSecond = 1e9;
 constexpr int kDoubleDigits = std::numeric_limits<double>::digits;
 constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
-
-constexpr std::array<std::string_view, 41> kDwellColumns{"id",
-                                                         "position",
-                                                         "item",
-                                                         "role",
-                                                         "session",
-                                                         "experiment",
-                                                         "n",
-                                                         "closing",
-                                                         "alpha_deg",
-                                                         "commanded_x_deg",
-                                                         "commanded_z_deg",
-                                                         "encoder_x_deg",
-                                                         "encoder_z_deg",
-                                                         "time_ns",
-                                                         "time_s",
-                                                         "utc",
-                                                         "settle_s",
-                                                         "count",
-                                                         "lost",
-                                                         "r_u",
-                                                         "r_v",
-                                                         "r_w",
-                                                         "spread_u",
-                                                         "spread_v",
-                                                         "spread_w",
-                                                         "u_u",
-                                                         "u_v",
-                                                         "u_w",
-                                                         "temperature_degc",
-                                                         "flags",
-                                                         "flag_words",
-                                                         "first_sequence",
-                                                         "first_reading_ns",
-                                                         "reading_interval_ns",
-                                                         "first_temperature_degc",
-                                                         "temperature_step_degc",
-                                                         "face",
-                                                         "sweep",
-                                                         "rate_deg_per_s",
-                                                         "acceleration_deg_per_s2",
-                                                         "u_angle_deg"};
-/// Files before version 5 lack the last columns.
-constexpr std::size_t kColumnsOfVersion5 = 5;
 
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
 /// nothing more is gained.
@@ -148,7 +103,7 @@ void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<cons
       bind_reading(statement, position, reading);
       link.add(reading);
       if (std::exchange(skipped, reading.skipped) == reading.skipped) continue;
-      database.prepare("insert into reading_gap(dwell, k, skipped) values(:dwell, :k, :skipped)")
+      database.insert("reading_gap")
           .set("dwell", dwell)
           .set("k", reading.k)
           .set("skipped", reading.skipped)
@@ -261,10 +216,7 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   const ReadingConstants constants = constants_of(readings, times_.origin_ns);
   std::optional<std::int64_t> time_ns;
   if (dwell.time_s && std::isfinite(*dwell.time_s)) time_ns = nanoseconds(*dwell.time_s) - times_.origin_ns;
-  const bool of_version_5 = has_faces(database_);
-  const std::span columns(kDwellColumns);
-  SqliteStatement row = database_.prepare(
-      insert_into("dwell", of_version_5 ? columns : columns.first(columns.size() - kColumnsOfVersion5)));
+  Insertion row = database_.insert("dwell");
   row.set("id", of_row.id)
       .set("position", position)
       .set("item", std::int64_t{of_row.item})
@@ -289,7 +241,7 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
       .set("first_sequence", constants.first_sequence)
       .set("first_reading_ns", constants.first_ns)
       .set("reading_interval_ns", constants.interval_ns);
-  if (of_version_5) {
+  if (has_faces(database_)) {  // Files before version 5 lack these columns.
     const std::optional<DwellMotion>& motion = dwell.motion;
     row.set("face", std::int64_t{dwell.face})
         .set("sweep", motion ? std::optional<std::int64_t>(motion->sweep) : std::nullopt)
@@ -310,12 +262,11 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   row.run();
   const std::int64_t written = database_.last_row_id();
   for (std::size_t k = 0; k < of_row.encoder.size(); ++k) {
-    database_
-        .prepare("insert into encoder_sample(dwell, k, time_ns, angle_deg) values(:dwell, :k, :time, :angle)")
+    database_.insert("encoder_sample")
         .set("dwell", written)
         .set("k", static_cast<std::int64_t>(k))
-        .set("time", nanoseconds(of_row.encoder[k].time_s) - times_.origin_ns)
-        .set("angle", of_row.encoder[k].angle_deg)
+        .set("time_ns", nanoseconds(of_row.encoder[k].time_s) - times_.origin_ns)
+        .set("angle_deg", of_row.encoder[k].angle_deg)
         .run();
   }
   write_readings(database_, written, readings, constants, times_.origin_ns);

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 
 #include "protocol/record/sha256.h"
 
@@ -78,10 +77,7 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
                        ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
   } else if (!stored) {
     made_again_ = !is_begun;
-    database_.prepare("insert into run(sha256, note) values(:sha256, :note)")
-        .set("sha256", std::string_view(run_sha256))
-        .set("note", std::string_view(made_again_ ? kMadeAgain : ""))
-        .run();
+    database_.insert("run").set("sha256", run_sha256).set("note", made_again_ ? kMadeAgain : "").run();
   }
   transaction.commit();
 }
@@ -105,14 +101,12 @@ void ResultsFile::add_analysis(const std::string& utc, std::string_view program_
   const std::string link =
       next_link(last_link(database_, "analysis"),
                 {utc, std::string(program_version), std::string(estimator), std::string(result_json)});
-  static constexpr std::array<std::string_view, 5> kColumns{"utc", "program_version", "estimator",
-                                                            "result_json", "chain"};
-  database_.prepare(insert_into("analysis", kColumns))
-      .set("utc", std::string_view(utc))
+  database_.insert("analysis")
+      .set("utc", utc)
       .set("program_version", program_version)
       .set("estimator", estimator)
       .set("result_json", result_json)
-      .set("chain", std::string_view(link))
+      .set("chain", link)
       .run();
   transaction.commit();
 }
@@ -167,30 +161,28 @@ void ResultsFile::add_certificate(const IssuedCertificate& certificate) {
   Transaction transaction(database_);
   const std::string results = database_.value("select file from pragma_database_list").value_or("results");
   require_issuable(certificate, read_certificates(database_), results);
-  std::vector<std::string> fields{certificate.utc,
-                                  certificate.number,
-                                  certificate.measured_by,
-                                  certificate.approved_by,
-                                  certificate.date,
-                                  certificate.replaces,
-                                  certificate.reason,
-                                  certificate.program_version,
-                                  certificate.laboratory_toml,
-                                  certificate.xml};
-  const std::string before = last_link(database_, "certificate");
-  static constexpr std::array<std::string_view, 12> kColumns{
-      "utc",    "number",          "measured_by",     "approved_by", "date",  "replaces",
-      "reason", "program_version", "laboratory_toml", "xml",         "chain", "item"};
-  SqliteStatement row = database_.prepare(insert_into("certificate", kColumns));
-  for (std::size_t k = 0; k < fields.size(); ++k)
-    row.set(std::string(kColumns.at(k)), std::string_view(fields[k]));
+  Insertion row = database_.insert("certificate");
+  std::vector<std::string> fields;  // In the order of the link.
+  for (const auto& [column, value] : {std::pair{"utc", certificate.utc},
+                                      {"number", certificate.number},
+                                      {"measured_by", certificate.measured_by},
+                                      {"approved_by", certificate.approved_by},
+                                      {"date", certificate.date},
+                                      {"replaces", certificate.replaces},
+                                      {"reason", certificate.reason},
+                                      {"program_version", certificate.program_version},
+                                      {"laboratory_toml", certificate.laboratory_toml},
+                                      {"xml", certificate.xml}}) {
+    row.set(column, value);
+    fields.push_back(value);
+  }
   // A certificate of a run with one item is linked as it always was.
   std::optional<std::int64_t> item;
   if (certificate.item > 0) {
     item = certificate.item;
     fields.push_back(std::to_string(certificate.item));
   }
-  row.set("item", item).set("chain", std::string_view(next_link(before, fields))).run();
+  row.set("item", item).set("chain", next_link(last_link(database_, "certificate"), fields)).run();
   transaction.commit();
 }
 

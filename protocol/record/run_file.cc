@@ -7,7 +7,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <cstring>
 #include <stdexcept>
@@ -182,15 +181,12 @@ std::optional<std::int64_t> nanoseconds_of(const std::optional<Clock::Duration>&
 }
 
 void write_session(SqliteDatabase& database, const SessionTimes& times, const SessionStart& start) {
-  static constexpr std::array<std::string_view, 10> kColumns{
-      "id",      "begun_utc",     "begun_utc_ns",   "origin_ns",     "monotonic_ns",
-      "boot_id", "since_boot_ns", "clock_offset_s", "clock_error_s", "program_version"};
   const auto utc_ns =
       times.begun ? std::optional<std::int64_t>(times.begun->time_since_epoch().count()) : std::nullopt;
   const auto monotonic_ns = start.monotonic
                                 ? std::optional<std::int64_t>(start.monotonic->time_since_epoch().count())
                                 : std::nullopt;
-  database.prepare(insert_into("session", kColumns))
+  database.insert("session")
       .set("id", times.session)
       .set("begun_utc", times.begun ? format_utc(*times.begun) : std::string())
       .set("begun_utc_ns", utc_ns)
@@ -208,11 +204,10 @@ void write_session(SqliteDatabase& database, const SessionTimes& times, const Se
 /// together.
 void write_event(SqliteDatabase& database, const std::string& utc, std::string_view kind,
                  std::string_view text) {
-  static constexpr std::array<std::string_view, 5> kColumns{"utc", "who", "kind", "text", "chain"};
   const std::string who =
       database.value("select value from meta where key = 'label.operator.name'").value_or("abcal");
   const std::string before = database.value("select chain from event order by id desc limit 1").value_or("");
-  database.prepare(insert_into("event", kColumns))
+  database.insert("event")
       .set("utc", utc)
       .set("who", who)
       .set("kind", kind)
@@ -325,9 +320,8 @@ struct RunFile::Impl {
     if (!take_wire) return;
     for (WireRow& row : take_wire()) wire_waiting.push_back(std::move(row));
     if (wire_waiting.empty()) return;
-    static constexpr std::array<std::string_view, 5> kColumns{"role", "time_ns", "arrival_ns", "kind",
-                                                              "bytes"};
-    SqliteStatement statement = database.prepare(insert_into("wire", kColumns));
+    SqliteStatement statement =
+        database.prepare("insert into wire(role, time_ns, arrival_ns, kind, bytes) values(?, ?, ?, ?, ?)");
     for (const WireRow& row : wire_waiting) {
       statement.bind(1, std::string_view(row.role))
           .bind(2, row.time_ns)
@@ -532,7 +526,7 @@ void RunFile::drop_item(int item, std::size_t plan_position, const std::string& 
   Transaction transaction(impl_->database);
   impl_->database.execute(kDropSchema);
   write_event(impl_->database, utc, kItemDroppedEvent, why);
-  impl_->database.prepare("insert into item_drop(item, position, event) values(:item, :position, :event)")
+  impl_->database.insert("item_drop")
       .set("item", std::int64_t{item})
       .set("position", static_cast<std::int64_t>(plan_position))
       .set("event", impl_->database.last_row_id())
@@ -549,9 +543,7 @@ void RunFile::append_event(const std::string& utc, std::string_view kind, std::s
 void RunFile::append_environment(const std::string& utc, std::string_view when,
                                  std::optional<double> temperature_degc,
                                  std::optional<double> humidity_percent, std::optional<double> pressure_hpa) {
-  static constexpr std::array<std::string_view, 5> kColumns{"utc", "moment", "temperature_degc",
-                                                            "humidity_percent", "pressure_hpa"};
-  impl_->database.prepare(insert_into("environment", kColumns))
+  impl_->database.insert("environment")
       .set("utc", utc)
       .set("moment", when)
       .set("temperature_degc", temperature_degc)

@@ -75,11 +75,9 @@ void add_item_facts(const ItemFacts& facts, const std::string& prefix,
 }
 
 void write_instruments(SqliteDatabase& database, const std::vector<InstrumentIdentity>& instruments) {
-  static constexpr std::array<std::string_view, 6> kColumns{"role",          "maker",    "model",
-                                                            "serial_number", "firmware", "details"};
-  SqliteStatement row = database.prepare(insert_into("instrument", kColumns));
   for (const InstrumentIdentity& identity : instruments) {
-    row.set("role", identity.role)
+    database.insert("instrument")
+        .set("role", identity.role)
         .set("maker", identity.maker)
         .set("model", identity.model)
         .set("serial_number", identity.serial_number)
@@ -108,14 +106,9 @@ std::vector<RunItem> items_of(const RunHeader& header) {
 }
 
 void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
-  static constexpr std::array<std::string_view, 12> kColumns{
-      "k",    "maker",    "model",         "serial_number", "firmware",   "driver",
-      "port", "mounting", "response_unit", "rate_hz",       "full_scale", "resolution"};
-  static constexpr std::array<std::string_view, 3> kRegisterColumns{"item", "name", "value"};
-  SqliteStatement row = database.prepare(insert_into("item", kColumns));
-  SqliteStatement one = database.prepare(insert_into("item_register", kRegisterColumns));
   for (const RunItem& item : items) {
-    row.set("k", std::int64_t{item.k})
+    database.insert("item")
+        .set("k", std::int64_t{item.k})
         .set("maker", item.maker)
         .set("model", item.model)
         .set("serial_number", item.serial_number)
@@ -129,18 +122,19 @@ void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
         .set("resolution", item.resolution)
         .run();
     for (const auto& [name, value] : item.registers)
-      one.set("item", std::int64_t{item.k}).set("name", name).set("value", value).run();
+      database.insert("item_register")
+          .set("item", std::int64_t{item.k})
+          .set("name", name)
+          .set("value", value)
+          .run();
   }
 }
 
 void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angles) {
-  static constexpr std::array<std::string_view, 10> kColumns{"position",  "experiment",    "n",     "closing",
-                                                             "alpha_deg", "x_deg",         "z_deg", "face",
-                                                             "sweep",     "rate_deg_per_s"};
-  SqliteStatement row = database.prepare(insert_into("plan", kColumns));
   for (std::size_t position = 0; position < angles.size(); ++position) {
     const PlannedAngle& angle = angles[position];
-    row.set("position", static_cast<std::int64_t>(position))
+    database.insert("plan")
+        .set("position", static_cast<std::int64_t>(position))
         .set("experiment", std::int64_t{angle.experiment})
         .set("n", std::int64_t{angle.n})
         .set("closing", std::int64_t{angle.closing})

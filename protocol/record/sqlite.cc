@@ -239,14 +239,20 @@ std::string SqliteDatabase::first_bytes(std::size_t count) {
   return bytes;
 }
 
-std::string insert_into(std::string_view table, std::span<const std::string_view> columns) {
-  std::string names, parameters;
-  for (const std::string_view column : columns) {
+Insertion SqliteDatabase::insert(std::string_view table) {
+  return {*this, table};
+}
+
+void Insertion::run() {
+  std::string names, places;
+  for (const std::string& column : columns_) {
     const char* comma = names.empty() ? "" : ",";
     names.append(comma).append(column);
-    parameters.append(comma).append(":").append(column);
+    places.append(comma).append("?");
   }
-  return "insert into " + std::string(table) + "(" + names + ") values(" + parameters + ")";
+  SqliteStatement row = database_.prepare("insert into " + table_ + "(" + names + ") values(" + places + ")");
+  for (std::size_t k = 0; k < values_.size(); ++k) values_[k](row, static_cast<int>(k) + 1);
+  row.run();
 }
 
 Transaction::Transaction(SqliteDatabase& database) : database_(database) {

@@ -3,15 +3,17 @@
 #include <sqlite3.h>
 
 #include <chrono>
+#include <concepts>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
-#include <span>
 #include <stdexcept>
 #include <string>
 #include <string_view>
+#include <vector>
 
 namespace abcal {
 
@@ -105,6 +107,8 @@ class SqliteStatement {
   std::unique_ptr<sqlite3_stmt, PutBack> handle_;
 };
 
+class Insertion;
+
 /// An open SQLite database whose errors name the file and the cause. One thread at a time may use it and its
 /// statements.
 class SqliteDatabase {
@@ -120,6 +124,8 @@ class SqliteDatabase {
   /// Like execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), idle_, file_, sql}; }
+  /// A new row of a table: insert("run").set("sha256", hash).set("note", note).run().
+  Insertion insert(std::string_view table);
   /// The first column of the first row of a query; nullopt if there is no row.
   std::optional<std::string> value(std::string_view sql);
   bool has_table(std::string_view name);
@@ -140,8 +146,32 @@ class SqliteDatabase {
   std::shared_ptr<IdleStatements> idle_ = std::make_shared<IdleStatements>();
 };
 
-/// "insert into TABLE(a, b) values(:a, :b)": columns by name, independent of their order in the table.
-std::string insert_into(std::string_view table, std::span<const std::string_view> columns);
+/// A row to be inserted. Each column is named once, with its value; columns that are not named are NULL or
+/// have their default.
+class Insertion {
+ public:
+  Insertion(SqliteDatabase& database, std::string_view table) : database_(database), table_(table) {}
+
+  /// Copies the value, so that it need not live until run().
+  template <class Value>
+  Insertion& set(std::string_view column, const Value& value) {
+    columns_.emplace_back(column);
+    if constexpr (std::convertible_to<Value, std::string_view>)
+      values_.emplace_back([value = std::string(value)](SqliteStatement& row, int position) {
+        row.bind(position, std::string_view(value));
+      });
+    else
+      values_.emplace_back([value](SqliteStatement& row, int position) { row.bind(position, value); });
+    return *this;
+  }
+  void run();
+
+ private:
+  SqliteDatabase& database_;
+  std::string table_;
+  std::vector<std::string> columns_;
+  std::vector<std::function<void(SqliteStatement& row, int position)>> values_;
+};
 
 /// A transaction that may write from its beginning, rolled back unless it is committed. Data read in it stay
 /// valid until the commit: no other connection can write until then.

@@ -156,6 +156,15 @@ void Database::execute(const std::string& sql, const std::vector<Parameter>& par
   (void)query(0, sql, parameters);
 }
 
+void Database::insert(std::string_view table, const std::vector<Parameter>& row) {
+  std::string columns, places;
+  for (const Parameter& one : row) {
+    columns.append(columns.empty() ? "" : ", ").append(one.name);
+    places.append(places.empty() ? ":" : ", :").append(one.name);
+  }
+  execute(fmt::format("insert into {}({}) values({})", table, columns, places), row);
+}
+
 bool Database::has_register() {
   const std::string tables =
       impl_->one_file ? "select name from sqlite_master where type = 'table' and name = 'schema_step'"

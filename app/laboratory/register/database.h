@@ -5,6 +5,7 @@
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace abcal::lab {
@@ -16,7 +17,7 @@ class RegisterError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// A value for a parameter of a statement: ":name" in its text.
+/// A value for a parameter of a statement, ":name" in its text; or for a column of a new row.
 struct Parameter {
   std::string name;
   std::string value;
@@ -39,6 +40,8 @@ class Database {
   std::vector<Row> query(std::size_t columns, const std::string& sql,
                          const std::vector<Parameter>& parameters = {});
   void execute(const std::string& sql, const std::vector<Parameter>& parameters = {});
+  /// A new row of a table: its columns by name, with their values.
+  void insert(std::string_view table, const std::vector<Parameter>& row);
 
   /// Whether the database has the tables of a register.
   bool has_register();

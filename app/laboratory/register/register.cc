@@ -86,23 +86,21 @@ Register Register::create(const std::string& location, const NewRegister& facts,
   database.execute("insert into audit_head(id, entries, chain) values(1, 0, '')");
   database.execute("insert into counter(name, last) values('certificate', 0)");
   made.change({facts.administrator, "register made", "laboratory", "1", {}}, now, [&] {
-    database.execute(
-        "insert into laboratory(id, identity, name, kind, number_prefix, created_utc)"
-        " values(1, :identity, :name, :kind, :prefix, :utc)",
-        {{"identity", random_token().substr(0, 32)},
-         {"name", facts.laboratory},
-         {"kind", facts.training ? kTraining : kLaboratoryKind},
-         {"prefix", facts.training ? "T-" : facts.number_prefix},
-         {"utc", utc}});
+    database.insert("laboratory", {{"id", "1"},
+                                   {"identity", random_token().substr(0, 32)},
+                                   {"name", facts.laboratory},
+                                   {"kind", facts.training ? kTraining : kLaboratoryKind},
+                                   {"number_prefix", facts.training ? "T-" : facts.number_prefix},
+                                   {"created_utc", utc}});
   });
   made.change({facts.administrator, "first administrator", "person", facts.administrator, {}}, now, [&] {
-    database.execute(
-        "insert into person(name, role, email, rights, password, valid_from, valid_to)"
-        " values(:name, 'administrator', '', :rights, :password, :from, '')",
-        {{"name", facts.administrator},
-         {"rights", all_rights()},
-         {"password", hash_password(facts.password, facts.cost)},
-         {"from", utc.substr(0, 10)}});
+    database.insert("person", {{"name", facts.administrator},
+                               {"role", "administrator"},
+                               {"email", ""},
+                               {"rights", all_rights()},
+                               {"password", hash_password(facts.password, facts.cost)},
+                               {"valid_from", utc.substr(0, 10)},
+                               {"valid_to", ""}});
   });
   transaction.commit();
   made.read_facts();
@@ -243,17 +241,14 @@ void Register::append_entry(AuditEntry entry, const AuditEntry& predecessor) {
   entry.entry = predecessor.entry + 1;
   entry.chain = chain_of(predecessor.chain, entry);
   const std::string number = std::to_string(entry.entry);
-  database_.execute(
-      "insert into audit(entry, utc, who, what, subject, before_json, after_json, chain)"
-      " values(:entry, :utc, :who, :what, :subject, :before, :after, :chain)",
-      {{"entry", number},
-       {"utc", entry.utc},
-       {"who", entry.who},
-       {"what", entry.what},
-       {"subject", entry.subject},
-       {"before", entry.before_json},
-       {"after", entry.after_json},
-       {"chain", entry.chain}});
+  database_.insert("audit", {{"entry", number},
+                             {"utc", entry.utc},
+                             {"who", entry.who},
+                             {"what", entry.what},
+                             {"subject", entry.subject},
+                             {"before_json", entry.before_json},
+                             {"after_json", entry.after_json},
+                             {"chain", entry.chain}});
   database_.execute("update audit_head set entries = :entry, chain = :chain where id = 1",
                     {{"entry", number}, {"chain", entry.chain}});
 }

@@ -169,18 +169,18 @@ std::string Register::give_number(const LoggedIn& by, const NumberRequest& reque
                     "changed; required: `abcal lab verify`, and a backup that is whole",
                     without_password(location()), number));
   change({by.name(), kNumberGiven, "certificate", number, {}}, now, [&] {
-    database_.execute(
-        fmt::format(
-            "insert into certificate({}) values(:number, 'reserved', :run, '', :item, :measured, '', '', "
-            ":replaces, :reason, :utc, '')",
-            kColumns),
-        {{"number", number},
-         {"run", request.run_sha256},
-         {"item", request.item},
-         {"measured", request.measured_by},
-         {"replaces", request.replaces},
-         {"reason", request.reason},
-         {"utc", utc}});
+    database_.insert("certificate", {{"number", number},
+                                     {"state", "reserved"},
+                                     {"run_sha256", request.run_sha256},
+                                     {"xml_sha256", ""},
+                                     {"item", request.item},
+                                     {"measured_by", request.measured_by},
+                                     {"approved_by", ""},
+                                     {"issue_date", ""},
+                                     {"replaces", request.replaces},
+                                     {"reason", request.reason},
+                                     {"utc", utc},
+                                     {"approval", ""}});
   });
   return number;
 }

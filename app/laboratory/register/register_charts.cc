@@ -46,14 +46,12 @@ void Register::add_check_standard(const LoggedIn& by, const CheckStandard& stand
         "item {}: is not in the register; `abcal lab add item` adds it, under this name", standard.item));
   require_new("check_standard", standard.name);
   change({by.name(), "baseline approved", "check_standard", standard.name, {}}, now, [&] {
-    database_.execute(
-        "insert into check_standard(name, item, baseline_json, approved_by, approved_utc, retired)"
-        " values(:name, :item, :baseline, :by, :utc, '')",
-        {{"name", standard.name},
-         {"item", standard.item},
-         {"baseline", standard.baseline_json},
-         {"by", by.name()},
-         {"utc", format_utc(now)}});
+    database_.insert("check_standard", {{"name", standard.name},
+                                        {"item", standard.item},
+                                        {"baseline_json", standard.baseline_json},
+                                        {"approved_by", by.name()},
+                                        {"approved_utc", format_utc(now)},
+                                        {"retired", ""}});
   });
   transaction.commit();
 }
@@ -113,35 +111,30 @@ CheckPoint Register::add_check_point(const LoggedIn& by, CheckPoint point, std::
   change(
       {by.name(), point.outside ? "check run outside" : "check run added", "check_point", point.identity, {}},
       now, [&] {
-        database_.execute(
-            "insert into check_point(identity, check_standard, run_sha256, date, values_json, state, "
-            "found, begins, added_by, utc)"
-            " values(:identity, :chart, :run, :date, :json, :state, :found, :begins, :by, :utc)",
-            {{"identity", point.identity},
-             {"chart", chart},
-             {"run", point.run_sha256},
-             {"date", point.date},
-             {"json", point.values_json},
-             {"state", point.outside ? kOutside : kInside},
-             {"found", point.found},
-             {"begins", point.begins_anew ? kAnew : ""},
-             {"by", point.added_by},
-             {"utc", point.utc}});
+        database_.insert("check_point", {{"identity", point.identity},
+                                         {"check_standard", chart},
+                                         {"run_sha256", point.run_sha256},
+                                         {"date", point.date},
+                                         {"values_json", point.values_json},
+                                         {"state", point.outside ? kOutside : kInside},
+                                         {"found", point.found},
+                                         {"begins", point.begins_anew ? kAnew : ""},
+                                         {"added_by", point.added_by},
+                                         {"utc", point.utc}});
       });
   bool blocked = false;
   for (const BenchBlock& one : blocks()) blocked = blocked || (one.check_standard == chart && one.holds());
   if (point.outside && !blocked) {
     change({by.name(), "bench blocked", "bench_block", point.identity, {}}, now, [&] {
-      database_.execute(
-          "insert into bench_block(identity, check_standard, stage, bench, found, set_utc, lifted_by, "
-          "lifted_utc, reason)"
-          " values(:identity, :chart, :stage, :bench, :found, :utc, '', '', '')",
-          {{"identity", point.identity},
-           {"chart", chart},
-           {"stage", block.stage},
-           {"bench", block.bench},
-           {"found", point.found},
-           {"utc", point.utc}});
+      database_.insert("bench_block", {{"identity", point.identity},
+                                       {"check_standard", chart},
+                                       {"stage", block.stage},
+                                       {"bench", block.bench},
+                                       {"found", point.found},
+                                       {"set_utc", point.utc},
+                                       {"lifted_by", ""},
+                                       {"lifted_utc", ""},
+                                       {"reason", ""}});
     });
   }
   transaction.commit();
@@ -168,16 +161,13 @@ void Register::tell_check_run(const LoggedIn& by, CheckRunNotice notice, Clock::
   lock_audit();
   if (!row_json("check_run", identity).empty()) return;
   change({by.name(), "check run measured", "check_run", identity, {}}, now, [&] {
-    database_.execute(
-        "insert into check_run(identity, check_standard, run_sha256, file, date, told_by, utc)"
-        " values(:identity, :chart, :run, :file, :date, :by, :utc)",
-        {{"identity", identity},
-         {"chart", notice.check_standard},
-         {"run", notice.run_sha256},
-         {"file", notice.file},
-         {"date", notice.date},
-         {"by", by.name()},
-         {"utc", format_utc(now)}});
+    database_.insert("check_run", {{"identity", identity},
+                                   {"check_standard", notice.check_standard},
+                                   {"run_sha256", notice.run_sha256},
+                                   {"file", notice.file},
+                                   {"date", notice.date},
+                                   {"told_by", by.name()},
+                                   {"utc", format_utc(now)}});
   });
   transaction.commit();
 }
@@ -246,17 +236,15 @@ void Register::add_scope(const LoggedIn& by, const ScopeEntry& entry, Clock::Utc
   lock_audit();
   require_new("scope", entry.identity);
   change({by.name(), "scope added", "scope", entry.identity, {}}, now, [&] {
-    database_.execute(
-        "insert into scope(identity, quantity, unit, range_from, range_to, cmc, kind, valid_from, retired)"
-        " values(:identity, :quantity, :unit, :from, :to, :cmc, :kind, :valid_from, '')",
-        {{"identity", entry.identity},
-         {"quantity", entry.quantity},
-         {"unit", entry.unit},
-         {"from", fmt::format("{}", entry.from)},
-         {"to", fmt::format("{}", entry.to)},
-         {"cmc", fmt::format("{}", entry.cmc)},
-         {"kind", entry.relative ? kRelative : kAbsolute},
-         {"valid_from", format_utc(now).substr(0, 10)}});
+    database_.insert("scope", {{"identity", entry.identity},
+                               {"quantity", entry.quantity},
+                               {"unit", entry.unit},
+                               {"range_from", fmt::format("{}", entry.from)},
+                               {"range_to", fmt::format("{}", entry.to)},
+                               {"cmc", fmt::format("{}", entry.cmc)},
+                               {"kind", entry.relative ? kRelative : kAbsolute},
+                               {"valid_from", format_utc(now).substr(0, 10)},
+                               {"retired", ""}});
   });
   transaction.commit();
 }

@@ -45,15 +45,14 @@ void Register::add_person(const LoggedIn& by, const Person& person, const std::s
   lock_audit();
   require_new("person", person.name);
   change({by.name(), "person added", "person", person.name, {}}, now, [&] {
-    database_.execute(
-        "insert into person(name, role, email, rights, password, valid_from, valid_to)"
-        " values(:name, :role, :email, :rights, :password, :from, '')",
-        {{"name", person.name},
-         {"role", person.role},
-         {"email", person.email},
-         {"rights", joined(person.rights)},
-         {"password", hash},
-         {"from", person.valid_from.empty() ? format_utc(now).substr(0, 10) : person.valid_from}});
+    database_.insert("person", {{"name", person.name},
+                                {"role", person.role},
+                                {"email", person.email},
+                                {"rights", joined(person.rights)},
+                                {"password", hash},
+                                {"valid_from", person.valid_from.empty() ? format_utc(now).substr(0, 10)
+                                                                         : person.valid_from},
+                                {"valid_to", ""}});
   });
   transaction.commit();
 }
@@ -128,13 +127,10 @@ std::string Register::log_in(const std::string& name, const std::string& passwor
   lock_audit();
   database_.execute("delete from login where expires_utc < :now", {{"now", format_utc(now)}});
   change({name, "logged in", "person", name, {}}, now, [&] {
-    database_.execute(
-        "insert into login(token_hash, person, created_utc, expires_utc) values(:hash, :person, :created, "
-        ":expires)",
-        {{"hash", sha256_of(token)},
-         {"person", name},
-         {"created", format_utc(now)},
-         {"expires", format_utc(now + validity)}});
+    database_.insert("login", {{"token_hash", sha256_of(token)},
+                               {"person", name},
+                               {"created_utc", format_utc(now)},
+                               {"expires_utc", format_utc(now + validity)}});
   });
   transaction.commit();
   return token;

@@ -87,15 +87,13 @@ void Register::add_equipment(const LoggedIn& by, const Equipment& equipment, Clo
   lock_audit();
   require_new("equipment", equipment.identity);
   change({by.name(), "equipment added", "equipment", equipment.identity, {}}, now, [&] {
-    database_.execute(
-        "insert into equipment(identity, name, maker, model, serial_number, quantity, retired)"
-        " values(:identity, :name, :maker, :model, :serial, :quantity, '')",
-        {{"identity", equipment.identity},
-         {"name", equipment.name},
-         {"maker", equipment.maker},
-         {"model", equipment.model},
-         {"serial", equipment.serial_number},
-         {"quantity", equipment.quantity}});
+    database_.insert("equipment", {{"identity", equipment.identity},
+                                   {"name", equipment.name},
+                                   {"maker", equipment.maker},
+                                   {"model", equipment.model},
+                                   {"serial_number", equipment.serial_number},
+                                   {"quantity", equipment.quantity},
+                                   {"retired", ""}});
   });
   transaction.commit();
 }
@@ -124,16 +122,13 @@ void Register::add_calibration(const LoggedIn& by, const Calibration& calibratio
   require_known("equipment", calibration.equipment);
   require_new("calibration", calibration.certificate);
   change({by.name(), "calibration added", "calibration", calibration.certificate, {}}, now, [&] {
-    database_.execute(
-        "insert into calibration(certificate, equipment, issuer, performed, due, sha256, values_json)"
-        " values(:certificate, :equipment, :issuer, :performed, :due, :sha256, :json)",
-        {{"certificate", calibration.certificate},
-         {"equipment", calibration.equipment},
-         {"issuer", calibration.issuer},
-         {"performed", calibration.performed},
-         {"due", calibration.due},
-         {"sha256", calibration.sha256},
-         {"json", to_json(calibration.values).dump()}});
+    database_.insert("calibration", {{"certificate", calibration.certificate},
+                                     {"equipment", calibration.equipment},
+                                     {"issuer", calibration.issuer},
+                                     {"performed", calibration.performed},
+                                     {"due", calibration.due},
+                                     {"sha256", calibration.sha256},
+                                     {"values_json", to_json(calibration.values).dump()}});
   });
   transaction.commit();
 }
@@ -147,14 +142,12 @@ void Register::add_item(const LoggedIn& by, const Item& item, Clock::UtcTime now
   lock_audit();
   require_new("item", identity);
   change({by.name(), "item added", "item", identity, {}}, now, [&] {
-    database_.execute(
-        "insert into item(identity, maker, model, serial_number, owner, retired)"
-        " values(:identity, :maker, :model, :serial, :owner, '')",
-        {{"identity", identity},
-         {"maker", item.maker},
-         {"model", item.model},
-         {"serial", item.serial_number},
-         {"owner", item.owner}});
+    database_.insert("item", {{"identity", identity},
+                              {"maker", item.maker},
+                              {"model", item.model},
+                              {"serial_number", item.serial_number},
+                              {"owner", item.owner},
+                              {"retired", ""}});
   });
   transaction.commit();
 }
@@ -165,14 +158,12 @@ void Register::add_key(const LoggedIn& by, const SigningKey& key, Clock::UtcTime
   lock_audit();
   require_new("signing_key", key.fingerprint);
   change({by.name(), "key added", "signing_key", key.fingerprint, {}}, now, [&] {
-    database_.execute(
-        "insert into signing_key(fingerprint, owner, kind, public_pem, valid_from, valid_to)"
-        " values(:fingerprint, :owner, :kind, :pem, :from, '')",
-        {{"fingerprint", key.fingerprint},
-         {"owner", key.owner},
-         {"kind", key.kind},
-         {"pem", key.public_pem},
-         {"from", format_utc(now)}});
+    database_.insert("signing_key", {{"fingerprint", key.fingerprint},
+                                     {"owner", key.owner},
+                                     {"kind", key.kind},
+                                     {"public_pem", key.public_pem},
+                                     {"valid_from", format_utc(now)},
+                                     {"valid_to", ""}});
   });
   transaction.commit();
 }

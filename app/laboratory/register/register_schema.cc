@@ -178,8 +178,8 @@ constexpr std::array kTables{
 };
 
 void note_step(Database& database, int step, const std::string& utc) {
-  database.execute("insert into schema_step(step, utc, program_version) values(:step, :utc, :version)",
-                   {{"step", std::to_string(step)}, {"utc", utc}, {"version", program_version()}});
+  database.insert("schema_step",
+                  {{"step", std::to_string(step)}, {"utc", utc}, {"program_version", program_version()}});
 }
 
 }  // namespace
@@ -193,15 +193,6 @@ std::string select_all(const TableDescription& table) {
   for (const std::string_view column : table.columns)
     columns.append(columns.empty() ? "" : ", ").append(column);
   return fmt::format("select {} from {} order by {}", columns, table.name, table.order);
-}
-
-std::string insert_all(const TableDescription& table) {
-  std::string columns, parameters;
-  for (const std::string_view column : table.columns) {
-    columns.append(columns.empty() ? "" : ", ").append(column);
-    parameters.append(parameters.empty() ? ":" : ", :").append(column);
-  }
-  return fmt::format("insert into {}({}) values({})", table.name, columns, parameters);
 }
 
 void apply_schema_steps(Database& database, int database_step, const std::string& utc, int to_step) {

@@ -25,9 +25,6 @@ std::span<const TableDescription> register_tables();
 /// "select a, b from TABLE order by ..." for all columns of a table.
 std::string select_all(const TableDescription& table);
 
-/// "insert into TABLE(a, b) values(:a, :b)".
-std::string insert_all(const TableDescription& table);
-
 /// Makes the tables, step by step, from where the database is. Within a transaction.
 /// @param database_step  0: an empty database
 /// @param to_step        the last step to be made

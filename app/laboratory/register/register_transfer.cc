@@ -79,14 +79,13 @@ std::int64_t number_of_entry(const std::string& text) {
 }
 
 void insert_rows(Database& database, const TableDescription& table, const nlohmann::json& rows) {
-  const std::string insert = insert_all(table);
   for (const auto& row : rows) {
-    std::vector<Parameter> parameters;
+    std::vector<Parameter> values;
     for (const std::string_view column : table.columns) {
       const std::string name(column);
-      parameters.push_back({name, text_of(row, table.name, name)});
+      values.push_back({name, text_of(row, table.name, name)});
     }
-    database.execute(insert, parameters);
+    database.insert(table.name, values);
   }
 }
 

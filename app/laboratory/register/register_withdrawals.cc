@@ -80,15 +80,12 @@ bool Register::note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime
   bool is_new = row_json("known_run", run.run_sha256).empty();
   if (is_new) {
     change({by.name(), "run told", "known_run", run.run_sha256, {}}, now, [&] {
-      database_.execute(
-          "insert into known_run(run_sha256, file, item, date, told_by, utc)"
-          " values(:run, :file, :item, :date, :by, :utc)",
-          {{"run", run.run_sha256},
-           {"file", run.file},
-           {"item", run.item},
-           {"date", run.date},
-           {"by", by.name()},
-           {"utc", format_utc(now)}});
+      database_.insert("known_run", {{"run_sha256", run.run_sha256},
+                                     {"file", run.file},
+                                     {"item", run.item},
+                                     {"date", run.date},
+                                     {"told_by", by.name()},
+                                     {"utc", format_utc(now)}});
     });
   }
   for (const UsedSource& source : run.sources) {
@@ -96,15 +93,12 @@ bool Register::note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime
     if (!row_json("used_source", identity).empty()) continue;
     is_new = true;
     change({by.name(), "source of a run told", "used_source", identity, {}}, now, [&] {
-      database_.execute(
-          "insert into used_source(identity, run_sha256, kind, name, serial_number, role)"
-          " values(:identity, :run, :kind, :name, :serial, :role)",
-          {{"identity", identity},
-           {"run", run.run_sha256},
-           {"kind", source.kind},
-           {"name", source.name},
-           {"serial", source.serial_number},
-           {"role", source.role}});
+      database_.insert("used_source", {{"identity", identity},
+                                       {"run_sha256", run.run_sha256},
+                                       {"kind", source.kind},
+                                       {"name", source.name},
+                                       {"serial_number", source.serial_number},
+                                       {"role", source.role}});
     });
   }
   return is_new;
@@ -133,22 +127,18 @@ bool Register::tell_certificate(const LoggedIn& by, const std::string& number, c
     if (run == found[0].run_sha256 || !row_json("certified_run", identity).empty()) continue;
     is_new = true;
     change({by.name(), "further run of a certificate", "certified_run", identity, {}}, now, [&] {
-      database_.execute(
-          "insert into certified_run(identity, certificate, run_sha256) values(:identity, :number, :run)",
-          {{"identity", identity}, {"number", number}, {"run", run}});
+      database_.insert("certified_run",
+                       {{"identity", identity}, {"certificate", number}, {"run_sha256", run}});
     });
   }
   if (row_json("addressee", number).empty()) {
     is_new = true;
     change({by.name(), "customer of a certificate", "addressee", number, {}}, now, [&] {
-      database_.execute(
-          "insert into addressee(certificate, name, address, email, language)"
-          " values(:number, :name, :address, :email, :language)",
-          {{"number", number},
-           {"name", addressee.name},
-           {"address", addressee.address},
-           {"email", addressee.email},
-           {"language", addressee.language}});
+      database_.insert("addressee", {{"certificate", number},
+                                     {"name", addressee.name},
+                                     {"address", addressee.address},
+                                     {"email", addressee.email},
+                                     {"language", addressee.language}});
     });
   }
   transaction.commit();
@@ -196,15 +186,12 @@ Withdrawal Register::withdraw(const LoggedIn& by, const std::string& kind, const
   const Withdrawal withdrawal{kind, name, reason, by.name(), format_utc(now)};
   const std::string identity = identity_of(kind, name);
   change({by.name(), kind + " withdrawn", "withdrawal", identity, reason}, now, [&] {
-    database_.execute(
-        "insert into withdrawal(identity, kind, name, reason, withdrawn_by, utc)"
-        " values(:identity, :kind, :name, :reason, :by, :utc)",
-        {{"identity", identity},
-         {"kind", kind},
-         {"name", name},
-         {"reason", reason},
-         {"by", withdrawal.withdrawn_by},
-         {"utc", withdrawal.utc}});
+    database_.insert("withdrawal", {{"identity", identity},
+                                    {"kind", kind},
+                                    {"name", name},
+                                    {"reason", reason},
+                                    {"withdrawn_by", withdrawal.withdrawn_by},
+                                    {"utc", withdrawal.utc}});
   });
   if (kind == kCertificateKind) {
     change({by.name(), "certificate withdrawn", "certificate", name, reason}, now, [&] {
