@@ -1,11 +1,11 @@
-#include "app/faces/commands/bench.h"
-#include "app/faces/commands/command_help.h"
-#include "app/faces/commands/commands.h"
-#include "app/faces/commands/manual.h"
-#include "app/faces/commands/simulate.h"
-#include "app/faces/commands/uncertainty.h"
-#include "app/ground/system/run_program.h"
-#include "app/ground/system/version.h"
+#include "app/commands/bench.h"
+#include "app/commands/command_help.h"
+#include "app/commands/commands.h"
+#include "app/commands/manual.h"
+#include "app/commands/simulate.h"
+#include "app/commands/uncertainty.h"
+#include "app/run_program.h"
+#include "app/system/version.h"
 
 namespace {
 

@@ -1,6 +1,6 @@
 // abcal-guard: opens the ports of a stage and a chamber for the program that moves them, passes the bytes on,
 // and halts the axes and leaves the chamber as its policy states if that program dies or hangs
-// (app/operate/bench/guard_service.h). Started by abcal, with one end of a socket as descriptor 3.
+// (app/measure/guard/guard_service.h). Started by abcal, with one end of a socket as descriptor 3.
 #include <sys/resource.h>
 
 #include <csignal>
@@ -8,11 +8,11 @@
 #include <string>
 #include <string_view>
 
-#include "app/ground/system/boot_clock.h"
-#include "app/ground/system/output.h"
-#include "app/ground/system/real_clock.h"
-#include "app/ground/system/version.h"
-#include "app/operate/bench/guard_service.h"
+#include "app/measure/guard/guard_service.h"
+#include "app/system/boot_clock.h"
+#include "app/system/output.h"
+#include "app/system/real_clock.h"
+#include "app/system/version.h"
 #include "drivers/wire/open_stream.h"
 
 int main(int argc, char** argv) {

@@ -16,9 +16,9 @@
 #include <variant>
 #include <vector>
 
-#include "app/ground/document/data_tree.h"
-#include "app/ground/system/output.h"
-#include "app/ground/system/run_program.h"
+#include "app/document/data_tree.h"
+#include "app/run_program.h"
+#include "app/system/output.h"
 
 namespace {
 

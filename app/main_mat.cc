@@ -15,8 +15,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/system/read_file.h"
-#include "app/ground/system/run_program.h"
+#include "app/run_program.h"
+#include "app/system/read_file.h"
 
 namespace {
 

@@ -1,8 +1,8 @@
 // abcal-mpi: `abcal uncertainty` for several processes (mpirun). A program of its own, so that abcal need not
 // load MPI.
-#include "app/faces/commands/uncertainty.h"
-#include "app/ground/system/run_program.h"
-#include "app/studies/study/mpi_team.h"
+#include "app/commands/uncertainty.h"
+#include "app/run_program.h"
+#include "app/studies/trials/mpi_team.h"
 
 int main(int argc, char** argv) {
   using namespace abcal;

@@ -1,13 +1,13 @@
-// abcal-pdf: gives a PDF the structure of PDF/A-3. Started by abcal (app/ground/document/weasyprint.h), so
+// abcal-pdf: gives a PDF the structure of PDF/A-3. Started by abcal (app/document/weasyprint.h), so
 // that abcal need not load the libraries for PDF and colours.
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <optional>
 #include <string>
 
-#include "app/ground/document/pdf_archive.h"
-#include "app/ground/system/output_file.h"
-#include "app/ground/system/run_program.h"
+#include "app/document/pdf_archive.h"
+#include "app/run_program.h"
+#include "app/system/output_file.h"
 
 namespace {
 

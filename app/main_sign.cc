@@ -5,10 +5,10 @@
 #include <stdexcept>
 #include <string>
 
-#include "app/ground/system/output_file.h"
-#include "app/ground/system/read_file.h"
-#include "app/ground/system/run_program.h"
 #include "app/laboratory/certificate/xml_signature.h"
+#include "app/run_program.h"
+#include "app/system/output_file.h"
+#include "app/system/read_file.h"
 
 namespace {
 

@@ -1,10 +1,10 @@
 // abcal-transfer: the client of abcal for HTTP and mail, so that no start of abcal loads libcurl.
 //   abcal-transfer
-//     sends one message of a run (app/operate/session/notifier.h). Descriptor 3 is one end of a socket: the
+//     sends one message of a run (app/measure/session/notifier.h). Descriptor 3 is one end of a socket: the
 //     message is read from it, and "sent" or the reason of a failure is written to it.
 //   abcal-transfer time-stamp ADDRESS REQUEST ANSWER
 //     sends the file REQUEST to a time-stamp authority and writes its answer into the file ANSWER
-//     (app/ground/evidence/time_stamp_authority.h).
+//     (app/witness/time_stamp_authority.h).
 //   abcal-transfer --version
 #include <curl/curl.h>
 #include <fmt/format.h>
@@ -20,11 +20,11 @@
 #include <string_view>
 #include <vector>
 
-#include "app/ground/system/exit_code.h"
-#include "app/ground/system/output.h"
-#include "app/ground/system/output_file.h"
-#include "app/ground/system/read_file.h"
-#include "app/ground/system/version.h"
+#include "app/system/exit_code.h"
+#include "app/system/output.h"
+#include "app/system/output_file.h"
+#include "app/system/read_file.h"
+#include "app/system/version.h"
 
 namespace {
 

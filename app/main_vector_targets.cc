@@ -3,7 +3,7 @@
 
 #include <hwy/targets.h>
 
-#include "app/ground/system/vector_targets.h"
+#include "app/system/vector_targets.h"
 
 namespace hwy {
 

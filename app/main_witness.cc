@@ -1,5 +1,5 @@
 // abcal-witness: signs the links of a run while it is measured, in a log of which each line names the one
-// before (app/ground/evidence/witness_service.h, docs/witness.md). A service of the computer under a user of
+// before (app/witness/witness_service.h, docs/witness.md). A service of the computer under a user of
 // its own, or started by abcal, with one end of a socket as descriptor 3.
 #include <sys/stat.h>
 
@@ -12,14 +12,14 @@
 #include <stdexcept>
 #include <string>
 
-#include "app/ground/evidence/witness_log.h"
-#include "app/ground/evidence/witness_service.h"
-#include "app/ground/system/boot_clock.h"
-#include "app/ground/system/exit_code.h"
-#include "app/ground/system/output.h"
-#include "app/ground/system/private_file.h"
-#include "app/ground/system/real_clock.h"
-#include "app/ground/system/version.h"
+#include "app/system/boot_clock.h"
+#include "app/system/exit_code.h"
+#include "app/system/output.h"
+#include "app/system/private_file.h"
+#include "app/system/real_clock.h"
+#include "app/system/version.h"
+#include "app/witness/witness_log.h"
+#include "app/witness/witness_service.h"
 #include "protocol/record/signature.h"
 
 namespace {

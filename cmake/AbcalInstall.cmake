@@ -16,7 +16,7 @@ endif()
 
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
-# Where abcal looks for them (app/ground/system/helper_program.cc).
+# Where abcal looks for them (app/system/helper_program.cc).
 install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-transfer abcal-pdf abcal-sign abcal-witness RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/schemas DESTINATION ${CMAKE_INSTALL_DATADIR}/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
@@ -80,7 +80,7 @@ endforeach()
 install(TARGETS abcal_library EXPORT abcal-library-targets
   LIBRARY COMPONENT library NAMELINK_COMPONENT dev INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
     ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/faces/library/abcal/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal COMPONENT dev
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/library/abcal/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal COMPONENT dev
   FILES_MATCHING PATTERN "*.h")
 install(FILES ${PROJECT_SOURCE_DIR}/drivers/registry.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers COMPONENT dev)
 install(FILES ${PROJECT_SOURCE_DIR}/drivers/wire/byte_stream.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers/wire
@@ -88,8 +88,8 @@ install(FILES ${PROJECT_SOURCE_DIR}/drivers/wire/byte_stream.h DESTINATION ${CMA
 if(TARGET abcal_python)
   set(ABCAL_PYTHON_FOLDER lib/python3/dist-packages CACHE STRING "Where the module for Python is installed")
   install(TARGETS abcal_python LIBRARY DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
-  install(FILES ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/__init__.py ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/__init__.pyi
-    ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
+  install(FILES ${PROJECT_SOURCE_DIR}/app/library/python/abcal/__init__.py ${PROJECT_SOURCE_DIR}/app/library/python/abcal/__init__.pyi
+    ${PROJECT_SOURCE_DIR}/app/library/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
 endif()
 
 # Matrices pass between library and program, so that both must align them alike: Eigen changes that with -mavx or GCC's

@@ -8,7 +8,7 @@ set(linux_parts
   "inotify_init1|sys/inotify.h|sim/emulator.cc: whether a program has an emulated port open"
   "major|sys/sysmacros.h|drivers/wire/serial_port.cc: pseudo-terminals are told from real ports"
   "USBTMC_IOCTL_CLEAR|linux/usb/tmc.h|drivers/wire/usbtmc_stream.cc: voltmeters on USB"
-  "posix_spawn_file_actions_addclosefrom_np|spawn.h|app/ground/system/child_process.cc: no port is inherited by another program")
+  "posix_spawn_file_actions_addclosefrom_np|spawn.h|app/system/child_process.cc: no port is inherited by another program")
 
 set(missing_parts)
 foreach(part IN LISTS linux_parts)

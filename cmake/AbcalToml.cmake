@@ -1,4 +1,4 @@
-# The headers of toml++ 3.3; app/ground/toml/toml_library.cc compiles what they declare. The target of its package would link the
+# The headers of toml++ 3.3; app/formats/toml_library.cc compiles what they declare. The target of its package would link the
 # shared library as well.
 find_package(tomlplusplus 3.3 REQUIRED)
 get_target_property(toml_include tomlplusplus::tomlplusplus INTERFACE_INCLUDE_DIRECTORIES)

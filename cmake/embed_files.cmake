@@ -1,7 +1,7 @@
 # Writes a C++ file with the bytes of others: cmake -DOUTPUT=x.cc "-DFILES=/index.html=path;..." -P embed_files.cmake
 # Each becomes an abcal::console::Asset, served under the path before the "="; or a TYPE of NAMESPACE and HEADER, in FUNCTION.
 if(NOT DEFINED HEADER)
-  set(HEADER app/faces/console/asset.h)
+  set(HEADER app/console/asset.h)
   set(NAMESPACE abcal::console)
   set(TYPE Asset)
   set(FUNCTION assets)

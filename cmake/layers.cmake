@@ -36,18 +36,26 @@ layer(protocol/temperature MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fm
 # Independent of the code that it tests: it includes neither protocol nor a driver's codec.
 layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Random123/)
 
-# --- app: six wings ------------------------------------------------------------------------------------------------------
+# --- app -----------------------------------------------------------------------------------------------------------------
 # The true values of a simulated bench, without its instruments.
 set(truth sim/bench_truth.h sim/counter_noise.h sim/emulated_serial_numbers.h sim/fault_kinds.h)
-layer(app/ground MAY drivers/instrument/ protocol/plan/ protocol/gravity/ protocol/record/ ${truth}
-  FOREIGN CLI/ toml++/ Eigen/ nlohmann/ fmt/ lcms2.h libxml/ qpdf/ hwy/ spdlog/)
-layer(app/operate MAY app/ground/ drivers/ protocol/plan/ protocol/gravity/ protocol/record/ protocol/run/ protocol/estimators/ protocol/linear/
+set(clock drivers/instrument/clock.h)
+layer(app/system MAY ${clock} protocol/record/run_interrupted.h FOREIGN fmt/ hwy/ spdlog/)
+layer(app/formats MAY app/system/ ${angle} protocol/plan/ FOREIGN Eigen/ fmt/ libxml/ toml++/)
+layer(app/document MAY app/system/ app/formats/ FOREIGN fmt/ lcms2.h libxml/ nlohmann/ qpdf/)
+layer(app/bench_file MAY app/system/ app/formats/ drivers/instrument/ protocol/plan/ protocol/gravity/ protocol/record/ ${truth}
+  FOREIGN Eigen/ fmt/ nlohmann/ toml++/)
+layer(app/witness MAY app/system/ app/document/ ${clock} protocol/record/ FOREIGN fmt/ nlohmann/)
+set(ground app/system/ app/formats/ app/document/ app/bench_file/ app/witness/)
+layer(app/measure MAY ${ground} drivers/ protocol/plan/ protocol/gravity/ protocol/record/ protocol/run/ protocol/estimators/ protocol/linear/
   protocol/model/ protocol/statistics/ sim/ FOREIGN Eigen/ nlohmann/ fmt/ boost/)
-layer(app/results MAY app/ground/ drivers/instrument/ protocol/ sim/
-  FOREIGN toml++/ Eigen/ nlohmann/ fmt/)
-layer(app/laboratory MAY app/ground/ app/results/ drivers/instrument/ protocol/ ${truth}
+layer(app/results MAY ${ground} drivers/instrument/ protocol/ sim/ FOREIGN toml++/ Eigen/ nlohmann/ fmt/)
+layer(app/analysed_run MAY app/measure/ app/results/ protocol/plan/)
+layer(app/laboratory MAY ${ground} app/results/ drivers/instrument/ protocol/ ${truth}
   FOREIGN soci/ sodium.h Eigen/ unsupported/Eigen/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
-layer(app/studies MAY app/ground/ app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ mpi.h nlohmann/ fmt/)
-layer(app/faces MAY app/ drivers/ protocol/ sim/ abcal/
-  FOREIGN CLI/ Eigen/ boost/ libxml/ nlohmann/ openssl/ pybind11/ sqlite3.h unicode/ fmt/)
+layer(app/studies MAY ${ground} app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ mpi.h nlohmann/ fmt/)
+layer(app/console MAY ${ground} app/measure/ app/analysed_run/ app/results/ app/laboratory/ drivers/ protocol/ sim/
+  FOREIGN Eigen/ boost/ libxml/ nlohmann/ openssl/ unicode/ fmt/)
+layer(app/commands MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ Eigen/ boost/ libxml/ nlohmann/ openssl/ sqlite3.h fmt/)
+layer(app/library MAY app/ drivers/ protocol/ sim/ abcal/ FOREIGN Eigen/ nlohmann/ pybind11/ fmt/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ H5Cpp.h boost/ curl/ matio.h nlohmann/ fmt/ hwy/)

@@ -43,7 +43,7 @@ def sources():
     """All sources but those of the library for other programs, whose functions have the names of what they call."""
     return {str(path.relative_to(ROOT)): path.read_text()
             for top in ("app", "drivers", "protocol", "sim") for path in (ROOT / top).rglob("*.cc")
-            if "app/faces/library" not in str(path)}
+            if "app/library" not in str(path)}
 
 
 def files_of(code, texts):

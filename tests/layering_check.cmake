@@ -75,7 +75,7 @@ include("${CMAKE_CURRENT_LIST_DIR}/../cmake/layers.cmake")
 
 # --- Only a driver's folder names it ---------------------------------------------------------------------------------------
 # Exceptions: the lists of simulated instruments and of their serial numbers, and a bench file in the self-test.
-set(may_name_drivers app/operate/bench/make_firmware.cc sim/emulated_serial_numbers.cc app/faces/self_test/self_test.cc)
+set(may_name_drivers app/measure/bench/make_firmware.cc sim/emulated_serial_numbers.cc app/commands/validation/self_test.cc)
 set(driver_names "")
 foreach(registration IN LISTS registrations)
   file(STRINGS "${SOURCE_DIR}/${registration}" lines REGEX "\\.name = \"")

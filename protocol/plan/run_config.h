@@ -28,7 +28,7 @@ std::string to_string(const Problem& problem);
 /// line as it may be meant. Begins with a line break, unless there are none.
 std::string list_of(const std::vector<Problem>& problems);
 
-/// The estimators by name; the program has one entry for each (app/results/estimates/estimators).
+/// The estimators by name; the program has one entry for each (app/results/analysis/estimators).
 inline constexpr std::array<std::string_view, 3> kEstimatorNames{"abc", "joint", "norm"};
 /// Name of the chosen estimator's entry in a run file and a CSV.
 inline constexpr std::string_view kEstimatorLabel = "protocol.estimator";

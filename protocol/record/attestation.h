@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 

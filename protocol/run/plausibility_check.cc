@@ -7,7 +7,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/faces.h"
-#include "protocol/run/plausibility.h"
+#include "protocol/run/reading_plausibility.h"
 
 namespace abcal {
 namespace {

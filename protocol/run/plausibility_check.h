@@ -15,8 +15,8 @@
 namespace abcal {
 
 /// Compares the readings at each angle with possible values: with the angle before, the usual spread, the
-/// first temperature and local gravity (protocol/run/plausibility.h). Keeps the data that it needs from
-/// earlier angles.
+/// first temperature and local gravity (protocol/run/reading_plausibility.h). Keeps the data that it needs
+/// from earlier angles.
 class PlausibilityCheck {
  public:
   /// `context` must outlive this; its accelerometer must be identified.

@@ -9,7 +9,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/dwell.h"
-#include "protocol/run/plausibility.h"
+#include "protocol/run/reading_plausibility.h"
 #include "protocol/statistics/distributions.h"
 #include "protocol/statistics/median.h"
 

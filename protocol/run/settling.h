@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "protocol/run/dwell.h"
-#include "protocol/run/plausibility.h"
+#include "protocol/run/reading_plausibility.h"
 #include "protocol/run/reading_source.h"
 #include "protocol/run/run_context.h"
 

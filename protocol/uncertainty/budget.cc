@@ -13,7 +13,7 @@
 #include <utility>
 
 #include "protocol/estimators/checks/check_poses.h"
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/voltmeter.h"
 #include "protocol/linear/products.h"

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/uncertainty/published_tables.h"

@@ -1,11 +1,11 @@
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
-#include "app/operate/bench/make_firmware.h"
+#include "app/measure/bench/make_firmware.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"

@@ -5,7 +5,7 @@
 #include <Eigen/Geometry>
 #include <nlohmann/json.hpp>
 
-#include "app/operate/session/bench_check.h"
+#include "app/measure/session/bench_check.h"
 #include "tests/app/program_fixtures.h"
 
 namespace abcal {

@@ -15,8 +15,8 @@
 #include <functional>
 #include <set>
 
-#include "app/ground/system/real_clock.h"
-#include "app/operate/bench/make_firmware.h"
+#include "app/measure/bench/make_firmware.h"
+#include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/microstrain_mip/codec.h"
 #include "drivers/pi_gcs/stage.h"

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "app/operate/bench/make_firmware.h"
+#include "app/measure/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/recording_stream.h"

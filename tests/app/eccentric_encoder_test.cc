@@ -10,7 +10,7 @@
 #include <numbers>
 #include <string>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "app/studies/robustness/robustness_study.h"
 
 namespace abcal {

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/results/estimates/effect_words.h"
+#include "app/bench_file/bench_config.h"
+#include "app/results/analysis/effect_words.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 

@@ -11,9 +11,9 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/operate/bench/make_bench.h"
-#include "app/operate/emulate/control_server.h"
+#include "app/bench_file/bench_config.h"
+#include "app/measure/bench/make_bench.h"
+#include "app/measure/emulator/control_server.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/sqlite.h"
 #include "sim/firmware/faulty_port.h"

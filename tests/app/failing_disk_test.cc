@@ -8,9 +8,9 @@
 #include <algorithm>
 #include <map>
 
-#include "app/results/estimates/estimators.h"
-#include "app/results/estimates/result_json.h"
-#include "protocol/record/verify.h"
+#include "app/results/analysis/estimators.h"
+#include "app/results/analysis/result_json.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/in_process_run.h"
 #include "tests/app/repeatable_run.h"
 #include "tests/support/failing_disk.h"

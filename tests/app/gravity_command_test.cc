@@ -6,7 +6,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 

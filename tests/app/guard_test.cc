@@ -15,10 +15,10 @@
 #include <thread>
 #include <vector>
 
-#include "app/ground/system/boot_clock.h"
-#include "app/operate/bench/guard_log.h"
-#include "app/operate/bench/guard_packets.h"
-#include "app/operate/bench/guard_service.h"
+#include "app/measure/guard/guard_log.h"
+#include "app/measure/guard/guard_packets.h"
+#include "app/measure/guard/guard_service.h"
+#include "app/system/boot_clock.h"
 #include "drivers/registry.h"
 #include "drivers/wire/socket_stream.h"
 #include "sim/firmware/firmware_stream.h"

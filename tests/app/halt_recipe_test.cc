@@ -12,9 +12,9 @@
 #include <memory>
 #include <tuple>
 
-#include "app/ground/system/real_clock.h"
-#include "app/operate/bench/guard_packets.h"
-#include "app/operate/bench/make_firmware.h"
+#include "app/measure/bench/make_firmware.h"
+#include "app/measure/guard/guard_packets.h"
+#include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/split_stage.h"
 #include "drivers/registry.h"

@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/ground/toml/toml_mistake.h"
+#include "app/bench_file/bench_config.h"
+#include "app/formats/toml_mistake.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 

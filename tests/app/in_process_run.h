@@ -9,9 +9,9 @@
 #include <string>
 #include <string_view>
 
-#include "app/faces/run/run_session.h"
-#include "app/ground/bench_file/bench_config.h"
-#include "app/operate/bench/make_bench.h"
+#include "app/analysed_run/run_session.h"
+#include "app/bench_file/bench_config.h"
+#include "app/measure/bench/make_bench.h"
 
 namespace abcal::test {
 

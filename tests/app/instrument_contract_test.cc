@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/operate/bench/make_bench.h"
+#include "app/bench_file/bench_config.h"
+#include "app/measure/bench/make_bench.h"
 #include "drivers/registry.h"
 #include "tests/app/stage_variants.h"
 #include "tests/contract/instrument_contract.h"

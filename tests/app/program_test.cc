@@ -15,7 +15,7 @@
 #include "drivers/wire/port_list.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/program.h"
 #include "tests/support/sqlite_lock.h"

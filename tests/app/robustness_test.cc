@@ -12,7 +12,7 @@
 #include <thread>
 #include <utility>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "app/studies/robustness/robustness_text.h"
 #include "protocol/uncertainty/budget.h"
 

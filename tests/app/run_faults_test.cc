@@ -12,9 +12,9 @@
 #include <set>
 #include <tuple>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "drivers/instrument/instrument_error.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "sim/faults.h"
 #include "tests/app/in_process_run.h"
 #include "tests/app/instrument_cases.h"

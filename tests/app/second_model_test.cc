@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "app/ground/bench_file/stated_truth.h"
+#include "app/bench_file/stated_truth.h"
 #include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 

@@ -1,6 +1,6 @@
 // Effect of a signal on the program: a computation ends at once, an activity that moves a stage does not.
 
-#include "app/ground/system/interrupt.h"
+#include "app/system/interrupt.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -14,10 +14,10 @@
 #include <numbers>
 #include <sstream>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/last_signal.h"
-#include "app/operate/bench/make_bench.h"
+#include "app/bench_file/bench_config.h"
+#include "app/measure/bench/make_bench.h"
+#include "app/system/helper_program.h"
+#include "app/system/last_signal.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/app/program_fixtures.h"
 

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/bench_file/stage_record_file.h"
+#include "app/bench_file/stage_record_file.h"
 #include "app/studies/stage_records/stage_record_study.h"
 #include "app/studies/stage_records/stage_record_text.h"
 #include "tests/support/program.h"

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "drivers/registry.h"
 
 namespace abcal {

@@ -1,4 +1,4 @@
-#include "app/operate/bench/stage_watchdog.h"
+#include "app/measure/bench/stage_watchdog.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -6,7 +6,7 @@
 #include <condition_variable>
 #include <future>
 
-#include "app/ground/system/real_clock.h"
+#include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {

@@ -1,4 +1,4 @@
-#include "app/ground/bench_file/stated_truth.h"
+#include "app/bench_file/stated_truth.h"
 
 #include <gtest/gtest.h>
 

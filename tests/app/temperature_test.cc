@@ -8,9 +8,9 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/ground/system/real_clock.h"
-#include "app/operate/session/temperature_series.h"
+#include "app/bench_file/bench_config.h"
+#include "app/measure/session/temperature_series.h"
+#include "app/system/real_clock.h"
 #include "drivers/wire/byte_stream.h"
 #include "drivers/wire/open_stream.h"
 #include "protocol/record/run_file.h"

@@ -14,10 +14,10 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/results/estimates/analyses.h"
-#include "app/results/estimates/result_text.h"
-#include "protocol/record/verify.h"
+#include "app/bench_file/bench_config.h"
+#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/result_text.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/emulator_control.h"
 #include "tests/support/project_paths.h"

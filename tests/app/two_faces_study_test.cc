@@ -13,9 +13,9 @@
 #include <string_view>
 #include <vector>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "app/studies/robustness/robustness_study.h"
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/joint_result.h"

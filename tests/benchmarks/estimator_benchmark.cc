@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/joint/effect_fit.h"
 #include "protocol/estimators/norm/norm_fit.h"

@@ -11,7 +11,7 @@
 #include <random>
 #include <thread>
 
-#include "app/ground/system/real_clock.h"
+#include "app/system/real_clock.h"
 #include "sim/emulator.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"

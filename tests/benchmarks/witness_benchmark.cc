@@ -8,10 +8,10 @@
 #include <optional>
 #include <string>
 
-#include "app/ground/evidence/witness_client.h"
-#include "app/ground/evidence/witness_log.h"
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/private_file.h"
+#include "app/system/helper_program.h"
+#include "app/system/private_file.h"
+#include "app/witness/witness_client.h"
+#include "app/witness/witness_log.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/signature.h"
 #include "tests/support/processor_time.h"

@@ -1,4 +1,4 @@
-#include "app/faces/console/access.h"
+#include "app/console/access.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

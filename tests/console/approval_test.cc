@@ -1,6 +1,6 @@
 // From result to certificate on the page: who may approve, four eyes, and the same certificate as by command.
 
-#include "app/faces/console/approval.h"
+#include "app/console/approval.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,11 +10,11 @@
 #include <string>
 #include <vector>
 
-#include "app/faces/console/login_throttle.h"
-#include "app/ground/system/real_clock.h"
+#include "app/console/login_throttle.h"
 #include "app/laboratory/certificate/certificate_json.h"
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/signing_certificate.h"
+#include "app/system/real_clock.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
 #include "tests/support/project_paths.h"

@@ -10,9 +10,9 @@
 #include <string_view>
 #include <thread>
 
-#include "app/faces/console/server.h"
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/output.h"
+#include "app/console/server.h"
+#include "app/system/helper_program.h"
+#include "app/system/output.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/console/client.h"
 #include "tests/support/temporary_folder.h"

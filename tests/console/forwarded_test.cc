@@ -1,4 +1,4 @@
-#include "app/faces/console/forwarded.h"
+#include "app/console/forwarded.h"
 
 #include <gtest/gtest.h>
 

@@ -13,7 +13,7 @@
 #include <stdexcept>
 #include <thread>
 
-#include "app/faces/console/bench_service.h"
+#include "app/console/bench_service.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/console/client.h"

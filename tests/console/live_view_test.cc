@@ -1,4 +1,4 @@
-#include "app/faces/console/live_view.h"
+#include "app/console/live_view.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

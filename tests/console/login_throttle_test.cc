@@ -1,4 +1,4 @@
-#include "app/faces/console/login_throttle.h"
+#include "app/console/login_throttle.h"
 
 #include <gtest/gtest.h>
 

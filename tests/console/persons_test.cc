@@ -1,6 +1,6 @@
 // Persons of the register at the console: their rights, and that a run records who did what.
 
-#include "app/faces/console/persons.h"
+#include "app/console/persons.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,10 +9,10 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "app/faces/console/login_throttle.h"
-#include "app/ground/system/real_clock.h"
+#include "app/console/login_throttle.h"
 #include "app/laboratory/compare/check_chart.h"
 #include "app/laboratory/register/register.h"
+#include "app/system/real_clock.h"
 #include "protocol/record/run_operator.h"
 #include "tests/console/console_fixture.h"
 

@@ -1,6 +1,6 @@
 // The queue of items and plans: its order, its storage on the disk, and that nothing begins without a person.
 
-#include "app/faces/console/queue.h"
+#include "app/console/queue.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "app/faces/console/request.h"
+#include "app/console/request.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // Pages and files of the runs in the console's folder.
 
-#include "app/faces/console/run_library.h"
+#include "app/console/run_library.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/weasyprint.h"
-#include "app/ground/system/child_process.h"
+#include "app/document/weasyprint.h"
+#include "app/system/child_process.h"
 #include "protocol/estimators/checks/check_meanings.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"

@@ -8,10 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "app/faces/console/asset.h"
-#include "app/faces/console/login_throttle.h"
-#include "app/faces/console/tls.h"
-#include "app/ground/system/real_clock.h"
+#include "app/console/asset.h"
+#include "app/console/login_throttle.h"
+#include "app/console/tls.h"
+#include "app/system/real_clock.h"
 #include "tests/console/console_fixture.h"
 
 namespace abcal::console {

@@ -1,4 +1,4 @@
-#include "app/faces/console/silent_connections.h"
+#include "app/console/silent_connections.h"
 
 #include <gtest/gtest.h>
 

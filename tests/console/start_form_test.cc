@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "app/faces/console/request.h"
-#include "app/faces/console/run_choice.h"
-#include "app/ground/bench_file/stage_record_file.h"
+#include "app/bench_file/stage_record_file.h"
+#include "app/console/request.h"
+#include "app/console/run_choice.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"

@@ -11,10 +11,10 @@
 #include <thread>
 #include <vector>
 
-#include "app/faces/console/interrupted_run.h"
-#include "app/faces/console/other_benches.h"
-#include "app/results/estimates/analyses.h"
-#include "app/results/estimates/result_json.h"
+#include "app/console/interrupted_run.h"
+#include "app/console/other_benches.h"
+#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/result_json.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"

@@ -1,6 +1,6 @@
 // Readings thinned out for a chart: nothing that stands out is lost, and their number has a bound.
 
-#include "app/faces/console/thinned_readings.h"
+#include "app/console/thinned_readings.h"
 
 #include <gtest/gtest.h>
 

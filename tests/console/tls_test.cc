@@ -1,6 +1,6 @@
 // TLS of the console: its certificate, and that everything goes through it.
 
-#include "app/faces/console/tls.h"
+#include "app/console/tls.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,7 +10,7 @@
 #include <boost/beast/http.hpp>
 #include <boost/beast/ssl.hpp>
 
-#include "app/ground/system/real_clock.h"
+#include "app/system/real_clock.h"
 #include "tests/console/console_fixture.h"
 
 namespace abcal::console {

@@ -1,7 +1,7 @@
 // Slow work of the console: done in a pool, once for all who wait, cancelled when nobody waits, stored by its
 // hash.
 
-#include "app/faces/console/workshop.h"
+#include "app/console/workshop.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -21,8 +21,8 @@
 #include <thread>
 #include <vector>
 
-#include "app/ground/document/weasyprint.h"
-#include "app/ground/system/child_process.h"
+#include "app/document/weasyprint.h"
+#include "app/system/child_process.h"
 #include "tests/console/console_fixture.h"
 
 namespace abcal::console {

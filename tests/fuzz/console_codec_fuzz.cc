@@ -14,7 +14,7 @@
 #include <string>
 #include <string_view>
 
-#include "app/faces/console/request.h"
+#include "app/console/request.h"
 
 namespace {
 

@@ -13,7 +13,7 @@
 #include <string>
 #include <string_view>
 
-#include "app/faces/console/target.h"
+#include "app/console/target.h"
 
 namespace {
 

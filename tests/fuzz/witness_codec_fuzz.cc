@@ -13,7 +13,7 @@
 #include <string>
 #include <string_view>
 
-#include "app/ground/evidence/witness_line.h"
+#include "app/witness/witness_line.h"
 
 namespace {
 

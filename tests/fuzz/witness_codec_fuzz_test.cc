@@ -5,7 +5,7 @@
 #include <random>
 #include <string>
 
-#include "app/ground/evidence/witness_line.h"
+#include "app/witness/witness_line.h"
 #include "tests/support/fuzz_inputs.h"
 
 namespace abcal {

@@ -19,7 +19,7 @@ if scripts/new-driver new_stage stage >"$work/log" 2>&1; then fail "scripts/new-
 
 # The files are formatted, and each includes only what a driver may.
 logged clang-format --dry-run -Werror drivers/new_*/*.{h,cc} sim/firmware/new_*.{h,cc} tests/drivers/new_*/*.cc \
-  tests/fuzz/new_*.cc app/operate/bench/make_firmware.cc
+  tests/fuzz/new_*.cc app/measure/bench/make_firmware.cc
 logged cmake -DSOURCE_DIR="$PWD" -P tests/layering_check.cmake
 
 # Built as a release, as most of its objects are in the compiler cache.

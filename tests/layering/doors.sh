@@ -29,14 +29,16 @@ check() {
 check drivers/instrument drivers/instrument/clock.h drivers/wire/byte_stream.h
 check drivers/pi_gcs drivers/wire/byte_stream.h drivers/zaber_ascii/codec.h
 check protocol/estimators protocol/plan/limits.h drivers/instrument/rotation_stage.h
-check protocol/run drivers/instrument/clock.h protocol/estimators/circle/analyse.h
+check protocol/run drivers/instrument/clock.h protocol/estimators/circle/abc_estimator.h
 check sim drivers/instrument/clock.h protocol/plan/limits.h
-check app/ground app/ground/system/exit_code.h app/operate/session/measuring_session.h
-check app/operate app/ground/system/exit_code.h app/results/estimates/analyses.h
-check app/operate app/ground/system/exit_code.h app/laboratory/register/login.h
-check app/results app/ground/system/exit_code.h app/operate/session/measuring_session.h
-check app/results app/ground/system/exit_code.h app/laboratory/certificate/certificate.h
-check app/laboratory app/results/estimates/analyses.h app/operate/session/measuring_session.h
-check app/studies app/results/estimates/analyses.h app/laboratory/certificate/certificate.h
-check app/faces app/operate/session/measuring_session.h tests/support/error_of.h
+check app/system drivers/instrument/clock.h app/formats/xml_tree.h
+check app/bench_file app/system/exit_code.h app/measure/session/measuring_session.h
+check app/measure app/system/exit_code.h app/results/analysis/analyses.h
+check app/measure app/system/exit_code.h app/laboratory/register/login.h
+check app/results app/system/exit_code.h app/measure/session/measuring_session.h
+check app/results app/system/exit_code.h app/laboratory/certificate/certificate.h
+check app/laboratory app/results/analysis/analyses.h app/measure/session/measuring_session.h
+check app/studies app/results/analysis/analyses.h app/laboratory/certificate/certificate.h
+check app/console app/measure/session/measuring_session.h app/studies/trials/measured_run.h
+check app/commands app/measure/session/measuring_session.h tests/support/error_of.h
 exit "$failed"

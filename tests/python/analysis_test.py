@@ -219,7 +219,7 @@ class Comparisons(unittest.TestCase):
 
 class Stubs(unittest.TestCase):
     def test_they_name_what_there_is(self):
-        tree = ast.parse((SOURCE / "app/faces/python/abcal/__init__.pyi").read_text())
+        tree = ast.parse((SOURCE / "app/library/python/abcal/__init__.pyi").read_text())
         stated = {node.name: node for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
         there = {name for name, what in vars(abcal).items() if not name.startswith("_") and not inspect.ismodule(what)}
         self.assertEqual(there, set(stated))

@@ -17,8 +17,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/xml/xml_query.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_query.h"
+#include "app/formats/xml_tree.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"

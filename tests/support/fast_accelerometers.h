@@ -11,8 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/system/real_clock.h"
-#include "app/operate/bench/make_firmware.h"
+#include "app/measure/bench/make_firmware.h"
+#include "app/system/real_clock.h"
 #include "drivers/registry.h"
 #include "drivers/wire/open_stream.h"
 #include "sim/emulator.h"

@@ -48,10 +48,10 @@ grow 4
 expect 1 "failure: total has "
 rm "$work/protocol/plan/grown.h"
 for ((i = 0; i < tokens; i++)); do printf '// A comment.\n\n'; done >"$work/protocol/plan/comments.h"
-mkdir -p "$work/tests/protocol" "$work/app/faces/console/page"
+mkdir -p "$work/tests/protocol" "$work/app/console/page"
 grow 10
 mv "$work/protocol/plan/grown.h" "$work/tests/protocol/grown_test.cc"
-for ((i = 0; i < tokens; i++)); do echo "'a': 'b',"; done >"$work/app/faces/console/page/de.js"
+for ((i = 0; i < tokens; i++)); do echo "'a': 'b',"; done >"$work/app/console/page/de.js"
 expect 0 ""
 mkdir -p "$work/drivers/new"
 echo "int x;" >"$work/drivers/new/driver.cc"

@@ -9,7 +9,7 @@
 #include <string_view>
 #include <utility>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 #include "drivers/text/names.h"
 
 namespace abcal {

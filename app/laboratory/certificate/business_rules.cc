@@ -8,7 +8,7 @@
 #include <regex>
 #include <set>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/iso_codes.h"
 #include "app/laboratory/certificate/laboratory_file.h"
 

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 
 namespace abcal {
 

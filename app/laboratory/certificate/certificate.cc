@@ -6,8 +6,8 @@
 #include <cmath>
 #include <string_view>
 
-#include "app/ground/units/dsi_unit.h"
-#include "app/ground/units/typed_unit.h"
+#include "app/formats/dsi_unit.h"
+#include "app/formats/typed_unit.h"
 #include "app/laboratory/certificate/certified_series.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/traceability.h"

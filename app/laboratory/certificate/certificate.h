@@ -13,7 +13,7 @@
 #include "app/laboratory/certificate/registered_entry.h"
 #include "app/laboratory/certificate/stated_result.h"
 #include "app/laboratory/certificate/words.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/temperature/temperature_fit.h"
 

@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "app/ground/document/document.h"
+#include "app/document/document.h"
 
 namespace abcal {
 

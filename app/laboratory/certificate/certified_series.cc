@@ -8,7 +8,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/results/estimates/temperature_points.h"
+#include "app/results/analysis/temperature_points.h"
 
 namespace abcal {
 namespace {

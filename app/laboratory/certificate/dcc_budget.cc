@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/units/dsi_unit.h"
-#include "app/ground/units/typed_unit.h"
+#include "app/formats/dsi_unit.h"
+#include "app/formats/typed_unit.h"
 #include "app/laboratory/certificate/dcc_quantity.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"

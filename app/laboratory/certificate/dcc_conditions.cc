@@ -12,7 +12,7 @@
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/traceability.h"
-#include "app/results/estimates/held_out_words.h"
+#include "app/results/analysis/held_out_words.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/plan/faces.h"
 

@@ -7,7 +7,7 @@
 #include <charconv>
 #include <cmath>
 
-#include "app/ground/units/dsi_unit.h"
+#include "app/formats/dsi_unit.h"
 #include "app/laboratory/certificate/dcc_text.h"
 
 namespace abcal {

@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/words.h"
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/stated_result.h"
 #include "app/laboratory/certificate/words.h"
 

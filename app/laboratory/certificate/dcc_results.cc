@@ -9,7 +9,7 @@
 #include <functional>
 #include <span>
 
-#include "app/ground/units/dsi_unit.h"
+#include "app/formats/dsi_unit.h"
 #include "app/laboratory/certificate/dcc_budget.h"
 #include "app/laboratory/certificate/dcc_conditions.h"
 #include "app/laboratory/certificate/dcc_quantity.h"

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/certificate.h"
 
 namespace abcal {

@@ -3,7 +3,7 @@
 #include <string>
 #include <string_view>
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/words.h"
 
 namespace abcal {

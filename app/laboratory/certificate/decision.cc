@@ -9,7 +9,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "drivers/text/names.h"
 #include "protocol/uncertainty/normal_probability.h"
 

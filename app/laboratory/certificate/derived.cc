@@ -11,8 +11,8 @@
 #include <stdexcept>
 #include <unsupported/Eigen/AutoDiff>
 
-#include "app/ground/units/typed_unit.h"
-#include "app/results/estimates/report_data.h"
+#include "app/formats/typed_unit.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/plan/response_unit.h"
 
 namespace abcal {

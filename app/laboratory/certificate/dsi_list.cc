@@ -7,9 +7,9 @@
 #include <cmath>
 #include <functional>
 
-#include "app/ground/document/number_text.h"
-#include "app/ground/units/dsi_unit.h"
-#include "app/results/estimates/report_data.h"
+#include "app/document/number_text.h"
+#include "app/formats/dsi_unit.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {

@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/scope.h"
 #include "protocol/estimators/shared/calibration_result.h"
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <charconv>
 
-#include "app/ground/toml/toml_reader.h"
+#include "app/formats/toml_reader.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/iso_codes.h"
 #include "app/laboratory/certificate/words.h"

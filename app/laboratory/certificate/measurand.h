@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/document.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/document/document.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/page_parts.h"
 #include "app/laboratory/certificate/stated_result.h"

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/document.h"
-#include "app/ground/document/number_text.h"
-#include "app/ground/xml/xml_query.h"
+#include "app/document/document.h"
+#include "app/document/number_text.h"
+#include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/words.h"
 
 namespace abcal {

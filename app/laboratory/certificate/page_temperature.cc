@@ -3,10 +3,10 @@
 #include <map>
 #include <stdexcept>
 
-#include "app/ground/document/band_figure.h"
+#include "app/document/band_figure.h"
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/temperature/temperature_fit.h"
 
 namespace abcal {

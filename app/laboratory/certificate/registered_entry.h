@@ -4,7 +4,7 @@
 #include <optional>
 #include <string>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 
 namespace abcal {
 

@@ -6,8 +6,8 @@
 #include <array>
 #include <map>
 
-#include "app/laboratory/certificate/issue.h"
-#include "app/results/estimates/load_record.h"
+#include "app/laboratory/certificate/issue_certificate.h"
+#include "app/results/analysis/load_record.h"
 #include "protocol/record/run_label.h"
 
 namespace abcal {

@@ -6,7 +6,7 @@
 
 #include "app/laboratory/certificate/certificate.h"
 #include "app/laboratory/certificate/schema_check.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 

@@ -7,7 +7,7 @@
 
 #include <stdexcept>
 
-#include "app/ground/system/helper_program.h"
+#include "app/system/helper_program.h"
 
 namespace abcal {
 namespace {

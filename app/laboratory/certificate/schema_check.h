@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/business_rules.h"
 
 namespace abcal {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "app/ground/units/typed_unit.h"
+#include "app/formats/typed_unit.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/response_unit.h"
 

@@ -2,8 +2,8 @@
 
 #include <fmt/format.h>
 
-#include "app/ground/xml/xml_query.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_query.h"
+#include "app/formats/xml_tree.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {

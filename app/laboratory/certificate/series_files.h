@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "protocol/record/results_file.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 

@@ -4,8 +4,8 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/temporary_folder.h"
+#include "app/system/helper_program.h"
+#include "app/system/temporary_folder.h"
 
 namespace abcal {
 

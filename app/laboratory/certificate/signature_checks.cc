@@ -5,12 +5,12 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "app/ground/document/weasyprint.h"
-#include "app/ground/system/read_file.h"
-#include "app/ground/xml/xml_query.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/document/weasyprint.h"
+#include "app/formats/xml_query.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/sign.h"
 #include "app/laboratory/certificate/signing_certificate.h"
+#include "app/system/read_file.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {

@@ -5,8 +5,8 @@
 
 #include <set>
 
-#include "app/ground/units/dsi_unit.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/dsi_unit.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/traceability.h"
 

@@ -9,8 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "app/ground/bench_file/not_real.h"
-#include "app/results/estimates/effect_words.h"
+#include "app/bench_file/not_real.h"
+#include "app/results/analysis/effect_words.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 

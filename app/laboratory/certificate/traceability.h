@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "app/laboratory/certificate/laboratory_file.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/record/run_file.h"
 

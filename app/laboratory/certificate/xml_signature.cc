@@ -11,9 +11,9 @@
 #include <memory>
 #include <stdexcept>
 
-#include "app/ground/system/read_file.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/signing_certificate.h"
+#include "app/system/read_file.h"
 
 namespace abcal {
 namespace {

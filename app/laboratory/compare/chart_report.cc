@@ -6,8 +6,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/system/terminal.h"
-#include "app/results/estimates/result_text.h"
+#include "app/results/analysis/result_text.h"
+#include "app/system/terminal.h"
 
 namespace abcal {
 namespace {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/uncertainty/frozen_chart.h"
 

@@ -4,11 +4,11 @@
 
 #include <exception>
 
-#include "app/ground/system/real_clock.h"
 #include "app/laboratory/compare/chart_report.h"
 #include "app/laboratory/compare/check_chart.h"
 #include "app/laboratory/register/login.h"
-#include "app/results/estimates/load_record.h"
+#include "app/results/analysis/load_record.h"
+#include "app/system/real_clock.h"
 
 namespace abcal {
 namespace {

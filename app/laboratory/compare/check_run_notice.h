@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/evidence/laboratory_link.h"
+#include "app/witness/laboratory_link.h"
 
 namespace abcal {
 

@@ -5,10 +5,10 @@
 
 #include <cmath>
 
-#include "app/ground/system/output.h"
-#include "app/ground/system/terminal.h"
-#include "app/ground/system/text_layout.h"
-#include "app/results/estimates/result_text.h"
+#include "app/results/analysis/result_text.h"
+#include "app/system/output.h"
+#include "app/system/terminal.h"
+#include "app/system/text_layout.h"
 #include "drivers/text/letters.h"
 
 namespace abcal {

@@ -10,8 +10,8 @@
 
 #include "app/laboratory/compare/check_chart.h"
 #include "app/laboratory/compare/read_certificate.h"
-#include "app/results/estimates/load_record.h"
-#include "app/results/estimates/other_file.h"
+#include "app/results/analysis/load_record.h"
+#include "app/results/analysis/other_file.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/record/dwell_chain.h"

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/plan/response_unit.h"

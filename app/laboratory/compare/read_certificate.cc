@@ -7,10 +7,10 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "app/ground/system/read_file.h"
-#include "app/ground/units/dsi_unit.h"
-#include "app/ground/xml/xml_query.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/dsi_unit.h"
+#include "app/formats/xml_query.h"
+#include "app/formats/xml_tree.h"
+#include "app/system/read_file.h"
 #include "protocol/estimators/circle/sensitivity_matrix.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <iterator>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/signature_checks.h"
 #include "app/laboratory/issuing/evidence_files.h"
 

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "app/laboratory/register/register.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 

@@ -9,10 +9,10 @@
 #include <string_view>
 #include <utility>
 
-#include "app/ground/system/read_file.h"
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/registered_entry.h"
-#include "app/results/estimates/other_file.h"
+#include "app/results/analysis/other_file.h"
+#include "app/system/read_file.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/report_certificate.h"
 #include "app/laboratory/register/register.h"
 #include "drivers/instrument/clock.h"

@@ -7,11 +7,11 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/ground/evidence/witness_check.h"
 #include "app/laboratory/certificate/series_files.h"
 #include "app/laboratory/certificate/signature_checks.h"
 #include "app/laboratory/issuing/evidence_files.h"
-#include "app/results/estimates/recompute.h"
+#include "app/results/analysis/recompute.h"
+#include "app/witness/witness_check.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/sha256.h"
 

@@ -6,7 +6,7 @@
 
 #include "app/laboratory/register/register.h"
 #include "protocol/record/attestation.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 

@@ -6,11 +6,11 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "app/ground/bench_file/not_real.h"
-#include "app/ground/system/real_clock.h"
-#include "app/ground/xml/xml_query.h"
+#include "app/bench_file/not_real.h"
+#include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/traceability.h"
 #include "app/laboratory/register/login.h"
+#include "app/system/real_clock.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/sha256.h"
@@ -80,8 +80,8 @@ std::vector<lab::UsedSource> sources_of(const StoredRun& run, const std::vector<
   return sources;
 }
 
-lab::RunRecord run_record_of(const std::filesystem::path& path, const std::string& sha256,
-                             const StoredRun& run, const std::vector<Equipment>& equipment) {
+lab::RegisteredRun run_record_of(const std::filesystem::path& path, const std::string& sha256,
+                                 const StoredRun& run, const std::vector<Equipment>& equipment) {
   const std::string ended = run.events.empty() ? run.header.created_utc : run.events.back().utc;
   return {sha256, std::filesystem::absolute(path).string(), items_of(run), ended.substr(0, kDateSize),
           sources_of(run, equipment)};
@@ -134,7 +134,7 @@ ToldRun tell_of_run(lab::Register& opened, const lab::LoggedIn& by, const std::f
   const std::string sha256 = sha256_of_file(run);
   const std::vector<IssuedCertificate> kept = ResultsFile::certificates(run);
   ToldRun told;
-  lab::RunRecord record;
+  lab::RegisteredRun record;
   for (const StoredRun& item : RunFile::load_items(run)) {
     std::vector<Equipment> equipment = equipment_of_run(item);
     // Without a register, the laboratory file of the certificate names the equipment.

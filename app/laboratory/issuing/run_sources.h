@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/evidence/laboratory_link.h"
 #include "app/laboratory/certificate/laboratory_file.h"
 #include "app/laboratory/register/register.h"
+#include "app/witness/laboratory_link.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -18,8 +18,8 @@ namespace abcal {
 std::vector<lab::UsedSource> sources_of(const StoredRun& run, const std::vector<Equipment>& equipment);
 
 /// A closed run as it is reported to the register. @param equipment  as for sources_of()
-lab::RunRecord run_record_of(const std::filesystem::path& path, const std::string& sha256,
-                             const StoredRun& run, const std::vector<Equipment>& equipment);
+lab::RegisteredRun run_record_of(const std::filesystem::path& path, const std::string& sha256,
+                                 const StoredRun& run, const std::vector<Equipment>& equipment);
 
 /// Reports a run that has ended, with what it rests on, to the register that ABCAL_REGISTER names.
 /// @return messages for a person: why the run was not reported to the register

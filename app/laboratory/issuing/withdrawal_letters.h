@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/document.h"
+#include "app/document/document.h"
 #include "app/laboratory/register/records.h"
 
 namespace abcal {

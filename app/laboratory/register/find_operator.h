@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "app/ground/evidence/laboratory_link.h"
+#include "app/witness/laboratory_link.h"
 #include "drivers/instrument/clock.h"
 
 namespace abcal {

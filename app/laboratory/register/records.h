@@ -166,7 +166,7 @@ inline constexpr const char* kCalibrationKind = "calibration";
 inline constexpr const char* kCertificateKind = "certificate";
 
 /// A run as the register knows it, with all that it rests on.
-struct RunRecord {
+struct RegisteredRun {
   std::string run_sha256;
   std::string file;  ///< Path when it was reported to the register.
   std::string item;  ///< Maker, model and serial number; of several items, each.
@@ -219,7 +219,7 @@ struct AffectedCertificate {
 struct Affected {
   bool is_known = false;                          ///< Whether the register has anything of this name.
   std::vector<Withdrawal> withdrawn;              ///< Withdrawals of the records in question.
-  std::vector<RunRecord> runs;                    ///< By date, with the sources in question only.
+  std::vector<RegisteredRun> runs;                ///< By date, with the sources in question only.
   std::vector<AffectedCertificate> certificates;  ///< By number.
   /// Numbers of certificates of runs whose sources the register does not know: it is unknown whether these
   /// are affected.

@@ -10,8 +10,8 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
-#include "app/ground/system/version.h"
 #include "app/laboratory/register/register_schema.h"
+#include "app/system/version.h"
 #include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"

@@ -52,7 +52,7 @@ struct NumberRequest {
   std::string replaces, reason;        ///< Empty: the first certificate of its run.
   std::string stage = {}, bench = {};  ///< Instruments of the run; a block of either refuses the number.
   /// The runs of the certificate with all that they rest on. A source that is withdrawn refuses the number.
-  std::vector<RunRecord> runs = {};
+  std::vector<RegisteredRun> runs = {};
 };
 
 /// A number that was given to a certificate.
@@ -171,7 +171,7 @@ class Register {
   // ---- What runs rest on, and what was withdrawn
   /// Stores a run and what it rests on. What the register knows already stays; what is new is added.
   /// @return whether anything was new
-  bool tell_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now);
+  bool tell_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now);
   /// Stores to whom a certificate was issued, and further runs that it is of, unless the register knows it.
   /// @return whether anything was new
   bool tell_certificate(const LoggedIn& by, const std::string& number, const Addressee& addressee,
@@ -268,7 +268,7 @@ class Register {
   void require_not_blocked(const NumberRequest& request);
   void require_not_withdrawn(const NumberRequest& request);
   /// tell_run() within a transaction.
-  bool note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now);
+  bool note_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now);
   /// Why a record cannot be withdrawn; throws.
   void require_withdrawable(const std::string& kind, const std::string& name);
   void read_facts();

@@ -91,7 +91,7 @@ ReservedNumber Register::reserve_number(const LoggedIn& by, const NumberRequest&
     require_not_withdrawn(request);
     reserved.number = give_number(by, request, now);
     reserved.head = head_of_number(reserved.number);
-    for (const RunRecord& run : request.runs) (void)note_run(by, run, now);
+    for (const RegisteredRun& run : request.runs) (void)note_run(by, run, now);
     transaction.commit();
   }
   if (is_answered) (void)witness_head(reserved.warnings);

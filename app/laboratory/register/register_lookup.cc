@@ -8,8 +8,8 @@
 #include <optional>
 #include <vector>
 
-#include "app/ground/system/real_clock.h"
 #include "app/laboratory/register/login.h"
+#include "app/system/real_clock.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {

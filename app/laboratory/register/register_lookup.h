@@ -1,6 +1,6 @@
 #pragma once
 
-#include "app/ground/toml/record_lookup.h"
+#include "app/formats/record_lookup.h"
 
 namespace abcal {
 

@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "app/ground/system/version.h"
+#include "app/system/version.h"
 
 namespace abcal::lab {
 namespace {

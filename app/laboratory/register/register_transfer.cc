@@ -5,9 +5,9 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/system/output.h"
 #include "app/laboratory/register/register.h"
 #include "app/laboratory/register/register_schema.h"
+#include "app/system/output.h"
 #include "drivers/text/number.h"
 #include "protocol/record/run_file.h"
 

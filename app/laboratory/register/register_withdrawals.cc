@@ -76,7 +76,7 @@ std::string CertificateStatus::words() const {
   return words;
 }
 
-bool Register::note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now) {
+bool Register::note_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now) {
   bool is_new = row_json("known_run", run.run_sha256).empty();
   if (is_new) {
     change({by.name(), "run told", "known_run", run.run_sha256, {}}, now, [&] {
@@ -104,7 +104,7 @@ bool Register::note_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime
   return is_new;
 }
 
-bool Register::tell_run(const LoggedIn& by, const RunRecord& run, Clock::UtcTime now) {
+bool Register::tell_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now) {
   require(by, Right::kMeasure);
   DatabaseTransaction transaction(database_);
   lock_audit();
@@ -210,7 +210,7 @@ std::vector<Withdrawal> Register::withdrawals() {
 
 void Register::require_not_withdrawn(const NumberRequest& request) {
   std::string problems;
-  for (const RunRecord& run : request.runs)
+  for (const RegisteredRun& run : request.runs)
     for (const UsedSource& source : run.sources)
       for (const Withdrawal& withdrawal : withdrawals_of(
                database_.query(5,

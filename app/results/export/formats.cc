@@ -9,10 +9,10 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "app/ground/system/output.h"
-#include "app/results/estimates/result_json.h"
+#include "app/results/analysis/result_json.h"
 #include "app/results/export/fixed_point.h"
 #include "app/results/export/mat_format.h"
+#include "app/system/output.h"
 #include "drivers/text/letters.h"
 
 namespace abcal {

@@ -2,9 +2,9 @@
 
 #include <fstream>
 
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/read_file.h"
-#include "app/ground/system/temporary_folder.h"
+#include "app/system/helper_program.h"
+#include "app/system/read_file.h"
+#include "app/system/temporary_folder.h"
 
 namespace abcal {
 

@@ -12,8 +12,8 @@
 #include <numbers>
 #include <string_view>
 
-#include "app/ground/system/output.h"
 #include "app/results/export/constants.h"
+#include "app/system/output.h"
 #include "drivers/text/letters.h"
 
 namespace abcal {

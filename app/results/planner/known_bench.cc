@@ -7,8 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "app/results/estimates/load_record.h"
-#include "protocol/estimators/circle/analyse.h"
+#include "app/results/analysis/load_record.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 
 namespace abcal {
 namespace {

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <optional>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "app/results/planner/plan_prediction.h"
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/plan/rotation_plan.h"

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "app/ground/bench_file/level_file.h"
-#include "app/results/estimates/analyses.h"
+#include "app/bench_file/level_file.h"
+#include "app/results/analysis/analyses.h"
 #include "protocol/record/planned_dwell.h"
 #include "sim/sim_bench.h"
 

@@ -4,7 +4,7 @@
 #include <array>
 #include <string>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "app/results/planner/wanted.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/budget.h"

@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 
 namespace abcal {
 namespace {

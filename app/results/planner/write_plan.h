@@ -2,7 +2,7 @@
 
 #include <string>
 
-#include "app/ground/bench_file/bench_records.h"
+#include "app/bench_file/bench_records.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {

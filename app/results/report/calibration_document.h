@@ -1,7 +1,7 @@
 #pragma once
 
-#include "app/ground/document/document.h"
-#include "app/results/estimates/report_data.h"
+#include "app/document/document.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 

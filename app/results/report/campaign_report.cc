@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/system/terminal.h"
-#include "app/results/estimates/estimators.h"
-#include "app/results/estimates/result_json.h"
-#include "app/results/estimates/result_text.h"
+#include "app/results/analysis/estimators.h"
+#include "app/results/analysis/result_json.h"
+#include "app/results/analysis/result_text.h"
+#include "app/system/terminal.h"
 
 namespace abcal {
 namespace {

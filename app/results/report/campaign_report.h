@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "protocol/estimators/shared/calibration_result.h"
-#include "protocol/uncertainty/campaign.h"
+#include "protocol/uncertainty/campaign_summary.h"
 
 namespace abcal {
 

@@ -6,8 +6,8 @@
 #include <cctype>
 #include <cmath>
 
-#include "app/results/estimates/effect_words.h"
-#include "app/results/estimates/result_text.h"
+#include "app/results/analysis/effect_words.h"
+#include "app/results/analysis/result_text.h"
 #include "app/results/report/mounting_figure.h"
 #include "app/results/report/run_figures.h"
 #include "protocol/plan/limits.h"

@@ -5,9 +5,9 @@
 #include <fstream>
 #include <stdexcept>
 
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/output_file.h"
 #include "app/results/report/record_hdf5.h"
+#include "app/system/helper_program.h"
+#include "app/system/output_file.h"
 
 namespace abcal {
 

@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/document/gnuplot.h"
+#include "app/document/gnuplot.h"
 #include "drivers/text/letters.h"
 
 namespace abcal {

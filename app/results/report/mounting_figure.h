@@ -3,7 +3,7 @@
 #include <Eigen/Core>
 #include <string>
 
-#include "app/ground/document/document.h"
+#include "app/document/document.h"
 
 namespace abcal {
 

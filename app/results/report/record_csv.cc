@@ -10,7 +10,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/ground/system/output.h"
+#include "app/system/output.h"
 #include "drivers/text/letters.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/record/limits_entries.h"

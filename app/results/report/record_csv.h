@@ -4,7 +4,7 @@
 #include <span>
 #include <string>
 
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 

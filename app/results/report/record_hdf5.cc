@@ -14,10 +14,10 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/document/data_tree.h"
-#include "app/results/estimates/result_json.h"
-#include "app/results/estimates/result_text.h"
-#include "app/results/estimates/tray_results.h"
+#include "app/document/data_tree.h"
+#include "app/results/analysis/result_json.h"
+#include "app/results/analysis/result_text.h"
+#include "app/results/analysis/tray_results.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/quantities/quantity_groups.h"
 

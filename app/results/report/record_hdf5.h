@@ -4,7 +4,7 @@
 #include <span>
 #include <string>
 
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 
@@ -15,7 +15,7 @@ namespace abcal {
 /// @param items  one, in the NXentry "entry"; or all items of a run with several: an NXentry of each, item_1,
 /// item_2 and so on, and the object abcal.tray/1, which they share, in the first
 /// @param file_name  of the HDF5 file (NeXus: file_name)
-/// @param tree  receives the nodes (app/ground/document/data_tree.h); a failure is in its state
+/// @param tree  receives the nodes (app/document/data_tree.h); a failure is in its state
 /// @throws RunFileError
 void write_hdf5_tree(std::span<const ReportData> items, const std::string& file_name, std::ostream& tree);
 

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/document/valid_text.h"
-#include "app/results/estimates/held_out_words.h"
-#include "app/results/estimates/result_json.h"
+#include "app/document/valid_text.h"
+#include "app/results/analysis/held_out_words.h"
+#include "app/results/analysis/result_json.h"
 #include "protocol/estimators/checks/check_poses.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"

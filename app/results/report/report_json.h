@@ -2,7 +2,7 @@
 
 #include <nlohmann/json_fwd.hpp>
 
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/document/gnuplot.h"
-#include "app/ground/document/number_text.h"
+#include "app/document/gnuplot.h"
+#include "app/document/number_text.h"
 #include "drivers/text/letters.h"
 #include "protocol/plan/faces.h"
 #include "protocol/plan/limits.h"

@@ -2,8 +2,8 @@
 
 #include <optional>
 
-#include "app/ground/document/document.h"
-#include "app/results/estimates/report_data.h"
+#include "app/document/document.h"
+#include "app/results/analysis/report_data.h"
 
 namespace abcal {
 

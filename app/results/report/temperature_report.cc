@@ -7,8 +7,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/ground/document/band_figure.h"
-#include "app/ground/system/version.h"
+#include "app/document/band_figure.h"
+#include "app/system/version.h"
 #include "protocol/quantities/output_names.h"
 
 namespace abcal {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/document.h"
+#include "app/document/document.h"
 #include "protocol/temperature/temperature_fit.h"
 
 namespace abcal {

@@ -10,12 +10,12 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/ground/bench_file/bench_config.h"
-#include "app/ground/bench_file/stated_truth.h"
-#include "app/results/estimates/analyses.h"
+#include "app/bench_file/bench_config.h"
+#include "app/bench_file/stated_truth.h"
+#include "app/results/analysis/analyses.h"
 #include "app/studies/calibration/second_model.h"
-#include "app/studies/study/measured_run.h"
-#include "app/studies/study/parallel_trials.h"
+#include "app/studies/trials/measured_run.h"
+#include "app/studies/trials/parallel_trials.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/statistics/distributions.h"

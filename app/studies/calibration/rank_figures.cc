@@ -6,7 +6,7 @@
 #include <cmath>
 #include <string>
 
-#include "app/ground/document/gnuplot.h"
+#include "app/document/gnuplot.h"
 
 namespace abcal {
 namespace {

@@ -2,7 +2,7 @@
 
 #include <cstdint>
 
-#include "app/studies/study/measured_run.h"
+#include "app/studies/trials/measured_run.h"
 
 namespace abcal {
 

@@ -11,8 +11,8 @@
 #include <utility>
 
 #include "app/studies/robustness/scenario.h"
-#include "app/studies/study/measured_run.h"
-#include "app/studies/study/parallel_trials.h"
+#include "app/studies/trials/measured_run.h"
+#include "app/studies/trials/parallel_trials.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/joint_result.h"

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "app/studies/study/error_group.h"
+#include "app/studies/trials/error_group.h"
 
 namespace abcal {
 

@@ -8,8 +8,8 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/results/estimates/analyses.h"
-#include "app/studies/study/parallel_trials.h"
+#include "app/results/analysis/analyses.h"
+#include "app/studies/trials/parallel_trials.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/planned_dwell.h"

@@ -10,7 +10,7 @@
 #include <utility>
 
 #include "app/studies/robustness/robustness_study.h"
-#include "app/studies/study/parallel_trials.h"
+#include "app/studies/trials/parallel_trials.h"
 #include "protocol/estimators/joint/collect_readings.h"
 #include "protocol/estimators/series/stage_learning.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
@@ -40,7 +40,7 @@ constexpr std::array<Design, kStageExperiments> kDesigns{
 };
 
 /// A run with its truth, as the fit of a series takes it.
-struct MeasuredRun {
+struct RunOfSeries {
   RunInformation information;
   std::optional<sim::TrueLineResponse> truth;  ///< Without drift, in the mounting of this run.
   double zero = 0.0;                           ///< Mean error of X over the angles of the frame (radian).
@@ -94,7 +94,7 @@ class Trial {
   }
 
   /// @param turn  how the item is mounted, as mounting_turns() has it
-  MeasuredRun measure(int faces, int steps, const Eigen::Matrix3d& turn) {
+  RunOfSeries measure(int faces, int steps, const Eigen::Matrix3d& turn) {
     constexpr double kMounting = 0.5 * std::numbers::pi / 180.0;
     ScenarioBench b = bench_;
     const EffectSizes& sizes = b.stated;
@@ -117,14 +117,14 @@ class Trial {
         .sizes = run.record.tolerances, .measured_alignment = {}, .noise_process = false};
     options.unit = unit_;
     const EffectSolution solution = solve_effects(data.readings, options);
-    MeasuredRun out{.information = run_information(data, solution), .truth = {}};
+    RunOfSeries out{.information = run_information(data, solution), .truth = {}};
     unit_ = out.information.unit;
     set_truth(b, data, out);
     return out;
   }
 
  private:
-  static void set_truth(const ScenarioBench& b, const CollectedReadings& data, MeasuredRun& out) {
+  static void set_truth(const ScenarioBench& b, const CollectedReadings& data, RunOfSeries& out) {
     sim::BenchTruth still = b.truth;
     still.drift_1 = still.drift_2 = still.drift_3 = still.sensitivity_drift = Eigen::Vector3d::Zero();
     const sim::SimBench world(still);
@@ -158,7 +158,7 @@ struct TrialOutcome {
 };
 
 /// s_vz and s_wy of the first run, turned about X by its mean error, in which the stage has its own zero.
-void add_frame(const MeasuredRun& first, const SeriesRunResult& found, TrialOutcome& out) {
+void add_frame(const RunOfSeries& first, const SeriesRunResult& found, TrialOutcome& out) {
   const EffectLayout& layout = first.information.layout;
   Eigen::RowVectorXd zero = Eigen::RowVectorXd::Zero(found.value.size());
   double count = 0.0;
@@ -195,7 +195,7 @@ void add_frame(const MeasuredRun& first, const SeriesRunResult& found, TrialOutc
   }
 }
 
-void add_item(const MeasuredRun& first, const SeriesItem& item, TrialOutcome& out) {
+void add_item(const RunOfSeries& first, const SeriesItem& item, TrialOutcome& out) {
   Eigen::Matrix3d s;
   for (int j = 0; j < 3; ++j) s.row(j) = item.line.segment<3>(3 * j).transpose();
   const IntrinsicProperties found = intrinsic_properties(s);
@@ -210,7 +210,7 @@ void add_item(const MeasuredRun& first, const SeriesItem& item, TrialOutcome& ou
 }
 
 struct Series {
-  std::vector<MeasuredRun> runs;
+  std::vector<RunOfSeries> runs;
   SeriesFit fit;
 };
 
@@ -219,7 +219,7 @@ Series measure(Trial& trial, int faces, int steps, const std::vector<Eigen::Matr
   Series out;
   for (const Eigen::Matrix3d& turn : turns) out.runs.push_back(trial.measure(faces, steps, turn));
   std::vector<SeriesRun> runs;
-  for (const MeasuredRun& run : out.runs) runs.push_back({&run.information, 0});
+  for (const RunOfSeries& run : out.runs) runs.push_back({&run.information, 0});
   out.fit = fit_series(runs, options);
   return out;
 }
@@ -265,7 +265,7 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
   Series taught;
   std::vector<SeriesRun> teaching;
   for (const Eigen::Matrix3d& turn : mounting_turns(12)) taught.runs.push_back(trial.measure(1, 24, turn));
-  for (const MeasuredRun& run : taught.runs) teaching.push_back({&run.information, 0});
+  for (const RunOfSeries& run : taught.runs) teaching.push_back({&run.information, 0});
   StageLearned learned = learn_stage(teaching, std::nullopt, 0.0);
   taught.fit = std::move(learned.fit);
   at(StageExperiment::kTwelveMountings) = outcome_of(taught, true);

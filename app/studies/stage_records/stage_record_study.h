@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/studies/study/error_group.h"
+#include "app/studies/trials/error_group.h"
 
 namespace abcal {
 

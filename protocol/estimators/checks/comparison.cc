@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/circle/sensitivity_matrix.h"
 #include "protocol/linear/cholesky.h"
 #include "protocol/linear/products.h"

@@ -13,7 +13,7 @@
 #include <tuple>
 #include <utility>
 
-#include "protocol/estimators/checks/plausibility.h"
+#include "protocol/estimators/checks/result_checks.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/joint/joint_verdict.h"

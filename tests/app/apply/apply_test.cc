@@ -14,8 +14,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/faces/apply/apply_session.h"
-#include "app/faces/apply/apply_text.h"
+#include "app/commands/apply/apply_session.h"
+#include "app/commands/apply/apply_text.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/support/temporary_folder.h"
 

@@ -1,4 +1,4 @@
-#include "app/ground/bench_file/key_reference.h"
+#include "app/bench_file/key_reference.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <set>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 

@@ -1,4 +1,4 @@
-#include "app/operate/bench/probe.h"
+#include "app/measure/bench/probe.h"
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/operate/bench/probe_ports.h"
+#include "app/measure/bench/probe_ports.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "app/laboratory/certificate/certificate.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/report_data.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/bench_text.h"
 #include "tests/support/program.h"

@@ -7,8 +7,8 @@
 #include <map>
 
 #include "app/laboratory/certificate/dcc_xml.h"
-#include "app/laboratory/certificate/issue.h"
-#include "app/results/estimates/analyses.h"
+#include "app/laboratory/certificate/issue_certificate.h"
+#include "app/results/analysis/analyses.h"
 #include "protocol/plan/limits.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"

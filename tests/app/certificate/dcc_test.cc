@@ -14,10 +14,10 @@
 #include <random>
 #include <sstream>
 
-#include "app/ground/document/document_text.h"
+#include "app/document/document_text.h"
 #include "app/laboratory/certificate/business_rules.h"
 #include "app/laboratory/certificate/certificate_page.h"
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/schema_check.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/uncertainty/budget.h"

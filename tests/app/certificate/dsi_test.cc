@@ -10,9 +10,9 @@
 #include <tuple>
 #include <vector>
 
-#include "app/ground/units/dsi_unit.h"
-#include "app/ground/units/typed_unit.h"
-#include "app/ground/xml/xml_tree.h"
+#include "app/formats/dsi_unit.h"
+#include "app/formats/typed_unit.h"
+#include "app/formats/xml_tree.h"
 #include "app/laboratory/certificate/dsi_list.h"
 
 namespace abcal {

@@ -1,4 +1,4 @@
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,7 +10,7 @@
 
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 #include "tests/support/training_register.h"

@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "app/ground/document/document_text.h"
+#include "app/document/document_text.h"
 #include "app/laboratory/certificate/business_rules.h"
 #include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"

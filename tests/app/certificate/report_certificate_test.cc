@@ -4,7 +4,7 @@
 
 #include <cstdlib>
 
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "protocol/record/sqlite.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"

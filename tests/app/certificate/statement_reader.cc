@@ -12,7 +12,7 @@
 #include <utility>
 #include <variant>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 
 namespace abcal::test {
 namespace {

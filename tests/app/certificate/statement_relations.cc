@@ -11,7 +11,7 @@
 #include <set>
 #include <stdexcept>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 
 namespace abcal::test {
 namespace {

@@ -14,9 +14,9 @@
 #include <random>
 #include <set>
 
-#include "app/ground/document/document_html.h"
-#include "app/ground/document/document_text.h"
-#include "app/ground/units/typed_unit.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/formats/typed_unit.h"
 #include "app/laboratory/certificate/business_rules.h"
 #include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "app/laboratory/certificate/dcc_xml.h"
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 

@@ -13,12 +13,12 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/bench_file/item_identity.h"
+#include "app/bench_file/item_identity.h"
 #include "app/laboratory/certificate/derived.h"
-#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/page_numbers.h"
-#include "app/results/estimates/analyses.h"
-#include "app/results/estimates/effect_words.h"
+#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/effect_words.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"

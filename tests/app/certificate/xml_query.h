@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/xml/xml_query.h"
+#include "app/formats/xml_query.h"
 
 namespace abcal {
 

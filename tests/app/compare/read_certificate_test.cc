@@ -6,8 +6,8 @@
 #include <Eigen/LU>
 #include <cmath>
 
-#include "app/ground/xml/xml_tree.h"
-#include "app/results/estimates/other_file.h"
+#include "app/formats/xml_tree.h"
+#include "app/results/analysis/other_file.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"

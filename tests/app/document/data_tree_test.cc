@@ -1,7 +1,7 @@
 // Groups and datasets on their way to the program that writes them: every bit arrives, and nothing else is
 // taken.
 
-#include "app/ground/document/data_tree.h"
+#include "app/document/data_tree.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

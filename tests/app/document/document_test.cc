@@ -14,12 +14,12 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/document/document_html.h"
-#include "app/ground/document/document_text.h"
-#include "app/ground/document/gnuplot.h"
-#include "app/ground/document/valid_text.h"
-#include "app/ground/document/weasyprint.h"
-#include "app/ground/system/child_process.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/gnuplot.h"
+#include "app/document/valid_text.h"
+#include "app/document/weasyprint.h"
+#include "app/system/child_process.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 

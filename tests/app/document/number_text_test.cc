@@ -1,4 +1,4 @@
-#include "app/ground/document/number_text.h"
+#include "app/document/number_text.h"
 
 #include <gtest/gtest.h>
 

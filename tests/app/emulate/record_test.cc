@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "app/operate/emulate/compare_firmware.h"
-#include "app/operate/emulate/relay.h"
-#include "app/operate/emulate/wire_log.h"
+#include "app/measure/emulator/compare_firmware.h"
+#include "app/measure/emulator/relay.h"
+#include "app/measure/emulator/wire_log.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/sim_clock.h"

@@ -19,11 +19,11 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/system/helper_program.h"
-#include "app/ground/system/output_file.h"
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "app/results/export/formats.h"
 #include "app/results/export/reading_noise.h"
+#include "app/system/helper_program.h"
+#include "app/system/output_file.h"
 #include "protocol/record/planned_dwell.h"
 #include "sim/sim_bench.h"
 #include "tests/support/program.h"

@@ -1,15 +1,15 @@
 // Answers to the questions of `abcal init`, sense and nonsense, and the bench file made of them.
 
-#include "app/faces/commands/init_answers.h"
+#include "app/commands/init_answers.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
-#include "app/faces/commands/init_bench_file.h"
-#include "app/faces/commands/port_listing.h"
-#include "app/ground/system/output_file.h"
+#include "app/commands/init_bench_file.h"
+#include "app/commands/port_listing.h"
+#include "app/system/output_file.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"

@@ -13,7 +13,7 @@
 #include <regex>
 #include <sstream>
 
-#include "app/ground/bench_file/bench_config.h"
+#include "app/bench_file/bench_config.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/typed_program.h"
 

@@ -1,7 +1,7 @@
 // The nearest mounting and the signs of the axes from readings whose truth is known: every mounting, sign and
 // side of the travel, with tilts, offsets and noise; and readings from which nothing may be learned.
 
-#include "app/operate/session/learned_mounting.h"
+#include "app/measure/session/learned_mounting.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,8 +12,8 @@
 #include <functional>
 #include <set>
 
-#include "app/operate/session/bench_check.h"
-#include "app/operate/session/mounting_series.h"
+#include "app/measure/session/bench_check.h"
+#include "app/measure/session/mounting_series.h"
 #include "protocol/plan/limits.h"
 #include "protocol/plan/mountings.h"
 

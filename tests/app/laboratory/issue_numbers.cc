@@ -4,8 +4,8 @@
 #include <exception>
 #include <string>
 
-#include "app/ground/system/real_clock.h"
 #include "app/laboratory/register/register.h"
+#include "app/system/real_clock.h"
 #include "protocol/record/sha256.h"
 
 int main(int, char** words) {

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "app/results/planner/known_bench.h"
 #include "app/results/planner/plan_search.h"
 #include "app/results/planner/wanted.h"

@@ -15,8 +15,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/document/gnuplot.h"
-#include "app/ground/document/weasyprint.h"
+#include "app/document/gnuplot.h"
+#include "app/document/weasyprint.h"
 #include "app/results/report/record_hdf5.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_record.h"

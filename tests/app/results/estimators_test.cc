@@ -1,11 +1,11 @@
-#include "app/results/estimates/estimators.h"
+#include "app/results/analysis/estimators.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <stdexcept>
 
-#include "app/results/estimates/analyses.h"
+#include "app/results/analysis/analyses.h"
 #include "protocol/estimators/shared/unusable_data.h"
 
 namespace abcal {

@@ -1,10 +1,10 @@
 // Runs that count as simulated although their ports look like real ones.
-#include "app/ground/bench_file/not_real.h"
+#include "app/bench_file/not_real.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "app/operate/bench/make_bench.h"
+#include "app/measure/bench/make_bench.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/support/project_paths.h"
 

@@ -1,5 +1,5 @@
 // Files given by mistake where a run is expected.
-#include "app/results/estimates/other_file.h"
+#include "app/results/analysis/other_file.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -7,8 +7,8 @@
 #include <fstream>
 #include <string>
 
-#include "app/results/estimates/load_record.h"
-#include "app/results/estimates/recompute.h"
+#include "app/results/analysis/load_record.h"
+#include "app/results/analysis/recompute.h"
 #include "protocol/record/import_csv.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"

@@ -1,6 +1,6 @@
 // The first screen of a result: 80 columns, verdict first, warnings that lead on.
 
-#include "app/results/estimates/result_summary.h"
+#include "app/results/analysis/result_summary.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,9 +11,9 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/system/text_layout.h"
-#include "app/results/estimates/result_text.h"
-#include "app/results/estimates/size_costs.h"
+#include "app/results/analysis/result_text.h"
+#include "app/results/analysis/size_costs.h"
+#include "app/system/text_layout.h"
 #include "protocol/uncertainty/budget.h"
 #include "tests/protocol/estimators/made_record.h"
 #include "tests/protocol/estimators/made_tray.h"

@@ -1,4 +1,4 @@
-#include "app/results/estimates/tray_results.h"
+#include "app/results/analysis/tray_results.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,11 +9,11 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/system/real_clock.h"
-#include "app/results/estimates/analyses.h"
-#include "app/results/estimates/load_record.h"
-#include "app/results/estimates/report_data.h"
+#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/load_record.h"
+#include "app/results/analysis/report_data.h"
 #include "app/results/report/calibration_document.h"
+#include "app/system/real_clock.h"
 #include "protocol/uncertainty/budget.h"
 #include "tests/protocol/estimators/made_tray.h"
 #include "tests/support/program.h"

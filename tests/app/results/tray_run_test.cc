@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/system/version.h"
 #include "app/laboratory/certificate/dsi_list.h"
+#include "app/system/version.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_seal.h"
 #include "protocol/record/sha256.h"

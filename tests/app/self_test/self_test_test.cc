@@ -1,5 +1,5 @@
 // The self-test of an installation, and the software validation file.
-#include "app/faces/self_test/self_test.h"
+#include "app/commands/validation/self_test.h"
 
 #include <fnmatch.h>
 #include <gmock/gmock.h>
@@ -12,8 +12,8 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/faces/self_test/requirements.h"
-#include "app/faces/self_test/validation_file.h"
+#include "app/commands/validation/requirements.h"
+#include "app/commands/validation/validation_file.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/project_paths.h"
 
@@ -51,7 +51,7 @@ TEST(ValidationFileTest, TheCodeOfEachRequirementIsInTheSources) {
       if (entry.path().extension() == ".cc")
         sources[std::filesystem::relative(entry.path(), root).string()] = test::read_file(entry.path());
   // The library for other programs has functions with the names of those that they call.
-  std::erase_if(sources, [](const auto& source) { return source.first.starts_with("app/faces/library/"); });
+  std::erase_if(sources, [](const auto& source) { return source.first.starts_with("app/library/"); });
   ASSERT_GT(sources.size(), 100U);
   std::size_t named = 0;
   for (const RequirementSection& section : requirements()) {

@@ -1,4 +1,4 @@
-#include "app/operate/session/disk_space.h"
+#include "app/measure/session/disk_space.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // The instrument that answers is the item of the bench file: at check, start and resume.
 
-#include "app/ground/bench_file/item_identity.h"
+#include "app/bench_file/item_identity.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,9 +9,9 @@
 #include <string>
 #include <utility>
 
-#include "app/faces/run/run_session.h"
-#include "app/operate/session/bench_check.h"
-#include "app/results/estimates/report_data.h"
+#include "app/analysed_run/run_session.h"
+#include "app/measure/session/bench_check.h"
+#include "app/results/analysis/report_data.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/app/repeatable_run.h"
 #include "tests/support/temporary_folder.h"

@@ -1,6 +1,6 @@
 // Notifications of a run: their kinds, and that a receiver on this machine gets them as they were meant.
 
-#include "app/operate/session/notifier.h"
+#include "app/measure/session/notifier.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "app/ground/system/helper_program.h"
+#include "app/system/helper_program.h"
 #include "tests/app/program_fixtures.h"
 
 namespace abcal {

@@ -16,9 +16,9 @@
 #include <utility>
 #include <vector>
 
-#include "app/faces/run/run_session.h"
-#include "app/ground/system/real_clock.h"
-#include "app/operate/bench/stage_watchdog.h"
+#include "app/analysed_run/run_session.h"
+#include "app/measure/bench/stage_watchdog.h"
+#include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "sim/faults.h"
 #include "sim/sim_clock.h"

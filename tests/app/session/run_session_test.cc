@@ -1,4 +1,4 @@
-#include "app/faces/run/run_session.h"
+#include "app/analysed_run/run_session.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,9 +13,9 @@
 #include <utility>
 #include <vector>
 
-#include "app/ground/system/helper_program.h"
+#include "app/system/helper_program.h"
 #include "drivers/instrument/instrument_error.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/repeatable_run.h"
 #include "tests/support/forged_chain.h"

@@ -1,4 +1,4 @@
-#include "app/operate/session/session_events.h"
+#include "app/measure/session/session_events.h"
 
 #include <gtest/gtest.h>
 

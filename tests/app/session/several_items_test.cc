@@ -11,12 +11,12 @@
 #include <string>
 #include <vector>
 
-#include "app/faces/run/run_session.h"
-#include "app/ground/bench_file/bench_config.h"
-#include "app/results/estimates/analyses.h"
+#include "app/analysed_run/run_session.h"
+#include "app/bench_file/bench_config.h"
+#include "app/results/analysis/analyses.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/limits.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {

@@ -1,7 +1,7 @@
 // Series over temperature inside the test: chambers of both makers, and series that are ended by a chamber, a
 // door or a person.
 
-#include "app/operate/session/temperature_series.h"
+#include "app/measure/session/temperature_series.h"
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -13,8 +13,8 @@
 #include <cmath>
 #include <random>
 
-#include "app/operate/session/temperature_soak.h"
-#include "app/results/estimates/temperature_points.h"
+#include "app/measure/session/temperature_soak.h"
+#include "app/results/analysis/temperature_points.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/run_observer.h"
 #include "tests/app/temperature_text.h"

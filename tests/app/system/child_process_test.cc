@@ -1,6 +1,6 @@
 // Other programs: their state at the start, and that they leave nothing behind.
 
-#include "app/ground/system/child_process.h"
+#include "app/system/child_process.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 #include <cstdlib>
 #include <string>
 
-#include "app/ground/document/gnuplot.h"
+#include "app/document/gnuplot.h"
 #include "protocol/run/experiment_run.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"

@@ -1,4 +1,4 @@
-#include "app/ground/system/output.h"
+#include "app/system/output.h"
 
 #include <fcntl.h>
 #include <gmock/gmock.h>
@@ -12,7 +12,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "app/ground/system/terminal.h"
+#include "app/system/terminal.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 
@@ -186,7 +186,7 @@ TEST(OutputTest, NothingElseOfAppPrints) {
     for (const char* word :
          {"fmt::print(", "std::cout", "std::cerr", "spdlog", "printf(", "std::puts(", "fputs("})
       EXPECT_EQ(text.find(word), std::string::npos)
-          << file << " has " << word << "; required: app/ground/system/output.h";
+          << file << " has " << word << "; required: app/system/output.h";
   }
   EXPECT_GT(looked_at, 100U);
 }

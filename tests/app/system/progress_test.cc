@@ -1,4 +1,4 @@
-#include "app/ground/system/progress.h"
+#include "app/system/progress.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "app/ground/system/text_layout.h"
+#include "app/system/text_layout.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

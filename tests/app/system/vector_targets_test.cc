@@ -1,4 +1,4 @@
-#include "app/ground/system/vector_targets.h"
+#include "app/system/vector_targets.h"
 
 #include <gtest/gtest.h>
 #include <hwy/targets.h>

@@ -1,4 +1,4 @@
-#include "app/ground/units/dsi_unit.h"
+#include "app/formats/dsi_unit.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

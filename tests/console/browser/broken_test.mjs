@@ -8,7 +8,7 @@ import {DrivenPage} from './driven_page.mjs';
 import {begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, pictureOf, says, served, stateIs, text} from './page_test.mjs';
 import {browserName} from './served_page.mjs';
 
-const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
+const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
 const OTHERS = ['login.js'];  // Belongs to the pages that ask for a login, which have no Stop.
 const WORKS = /The banner and Stop work/, ARBEITET = /Die Anzeige oben und Stopp arbeiten/;
 const MOVES = /^(The axes are homed|The stage turns from angle to angle)/;

@@ -6,7 +6,7 @@ import {fileURLToPath} from 'node:url';
 import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, noEnglish, runOver, served, stateIs} from './page_test.mjs';
 import {SIZES} from './served_page.mjs';
 
-const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
+const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
 // Imports the text of the file: Node 18 takes "*.js" for a module only if a package.json says so.
 const germanOf = async (name) => (await import(`data:text/javascript,${encodeURIComponent(readFileSync(path.join(folder, name), 'utf8'))}`)).default;
 const german = await germanOf('de.js');

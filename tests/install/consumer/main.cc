@@ -1,6 +1,6 @@
 // A third-party program: the estimators as a library, found with find_package(abcal).
 
-#include <protocol/estimators/circle/analyse.h>
+#include <protocol/estimators/circle/abc_estimator.h>
 #include <protocol/estimators/joint/analyse_joint.h>
 #include <protocol/record/import_csv.h>
 

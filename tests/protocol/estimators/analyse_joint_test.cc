@@ -13,7 +13,7 @@
 #include <string_view>
 #include <vector>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/collect_readings.h"
 #include "protocol/estimators/joint/effect_fit.h"
 #include "protocol/estimators/joint/effect_model.h"

@@ -1,4 +1,4 @@
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

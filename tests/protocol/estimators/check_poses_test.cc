@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "protocol/estimators/checks/plausibility.h"
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/checks/result_checks.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "tests/support/simulated_run.h"
 #include "tests/support/temporary_folder.h"

@@ -8,7 +8,7 @@
 #include <random>
 #include <stdexcept>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "tests/protocol/estimators/made_record.h"
 

@@ -1,4 +1,4 @@
-#include "protocol/estimators/circle/level.h"
+#include "protocol/estimators/circle/level_estimator.h"
 
 #include <gtest/gtest.h>
 

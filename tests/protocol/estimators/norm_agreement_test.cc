@@ -10,8 +10,8 @@
 #include <numbers>
 #include <random>
 
-#include "protocol/estimators/checks/plausibility.h"
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/checks/result_checks.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/estimators/shared/run_time.h"

@@ -7,7 +7,7 @@
 #include <numbers>
 #include <random>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "tests/protocol/estimators/made_record.h"
 

@@ -8,7 +8,7 @@
 #include <fstream>
 
 #include "protocol/record/dwell_chain.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 #include "tests/support/failing_disk.h"
 #include "tests/support/sqlite_lock.h"

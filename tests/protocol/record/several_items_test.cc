@@ -7,7 +7,7 @@
 
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {

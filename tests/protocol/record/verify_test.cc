@@ -1,4 +1,4 @@
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -6,7 +6,7 @@
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_schema.h"
 #include "protocol/record/sha256.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/verify_run.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 

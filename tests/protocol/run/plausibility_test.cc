@@ -1,4 +1,4 @@
-#include "protocol/run/plausibility.h"
+#include "protocol/run/reading_plausibility.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

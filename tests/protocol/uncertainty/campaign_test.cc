@@ -1,4 +1,4 @@
-#include "protocol/uncertainty/campaign.h"
+#include "protocol/uncertainty/campaign_summary.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <string>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/model/effects.h"
 #include "protocol/plan/rotation_plan.h"

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <random>
 
-#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/uncertainty/budget.h"

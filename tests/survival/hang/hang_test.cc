@@ -23,8 +23,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/faces/console/bench_service.h"
-#include "app/operate/bench/halt_guard.h"
+#include "app/console/bench_service.h"
+#include "app/measure/guard/halt_guard.h"
 #include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/instrument_cases.h"

@@ -1,0 +1,215 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <functional>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/commands/certificate_options.h"
+#include "app/commands/commands.h"
+#include "app/commands/print_pdf.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/weasyprint.h"
+#include "app/laboratory/certificate/certificate_json.h"
+#include "app/laboratory/certificate/certificate_page.h"
+#include "app/laboratory/certificate/issue_certificate.h"
+#include "app/results/analysis/load_record.h"
+#include "app/results/analysis/report_data.h"
+#include "app/results/report/calibration_document.h"
+#include "app/results/report/hdf5_export.h"
+#include "app/results/report/record_csv.h"
+#include "app/results/report/report_json.h"
+#include "app/system/exit_code.h"
+#include "app/system/output.h"
+#include "app/system/output_file.h"
+#include "app/system/real_clock.h"
+#include "app/system/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+struct ReportOptions {
+  std::string file;
+  std::string html, pdf, csv, csv_raw, hdf5;
+  std::string attachment, dcc;
+  CertificateFiles certificate;
+  int item = 0;
+  bool draft = false, record = false, json = false, force = false;
+};
+
+/// A requested file, and the function that writes it.
+struct Output {
+  RequestedOutput requested;
+  std::function<void(OutputFile& file)> write;
+};
+
+void print_warnings(const HtmlPage& page) {
+  for (const std::string& warning : page.warnings) print_warning(warning);
+}
+
+/// The PDF of a certificate contains its XML, unless another attachment is requested.
+void write_pdf(PdfPrinter& printer, const HtmlPage& page, OutputFile& file, const std::string& attached,
+               const std::string& certificate_xml) {
+  const TemporaryFolder folder;
+  std::optional<Attachment> attachment;
+  if (!attached.empty()) {
+    attachment = {attached, AttachmentKind::kSupplement};
+  } else if (!certificate_xml.empty()) {
+    attachment = {folder / "certificate.xml", AttachmentKind::kData};
+    OutputFile(attachment->file).write(certificate_xml);
+  }
+  print_pdf(printer, page.html, file.temporary(), attachment);
+  file.commit();
+}
+
+/// Whether the report is that of a certificate: one is requested, or was issued for this run.
+bool of_certificate(const ReportOptions& options, const ReportData& data) {
+  if (options.record) return false;
+  if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
+  const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
+                                                 [](const IntegrityCheck& check) { return check.good; });
+  return unchanged && current_certificate(data.path, data.item);
+}
+
+/// Makers of the pages: the HTML page, made once, and the printer, if a PDF is requested.
+struct PageMakers {
+  std::function<const HtmlPage&()> page;
+  PdfPrinter* printer = nullptr;
+};
+
+/// The requested outputs.
+std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<ReportData>& items,
+                               const std::string& certificate_xml, const PageMakers& makers) {
+  std::vector<Output> outputs;
+  const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
+    if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
+  };
+  add("--html", options.html, [makers](OutputFile& file) { file.write(makers.page().html); });
+  add("--pdf", options.pdf, [makers, &options, &certificate_xml](OutputFile& file) {
+    write_pdf(*makers.printer, makers.page(), file, options.attachment, certificate_xml);
+  });
+  add("--dcc", options.dcc, [&certificate_xml](OutputFile& file) { file.write(certificate_xml); });
+  add("--csv", options.csv, [&items](OutputFile& file) { file.write(averaged_csv(items)); });
+  add("--csv-raw", options.csv_raw, [&items](OutputFile& file) {
+    write_raw_csv(items, file.temporary());
+    file.commit();
+  });
+  add("--hdf5", options.hdf5, [&items](OutputFile& file) {
+    export_hdf5(items, file.temporary(), file.path().filename().string());
+    file.commit();
+  });
+  return outputs;
+}
+
+/// @param json  standard output belongs to the JSON object
+void write_all(const std::vector<Output>& outputs, bool json) {
+  for (const Output& output : outputs) {
+    OutputFile file(output.requested.path);
+    output.write(file);
+    const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
+                                         std::filesystem::absolute(output.requested.path).string());
+    json ? print_log("{}", text) : print_result("{}", text);
+  }
+}
+
+/// Reports all foreseeable errors before the first file is written.
+void check(const ReportOptions& options, const ReportData& data, const std::vector<Output>& outputs) {
+  std::vector<RequestedOutput> requested;
+  for (const Output& output : outputs) requested.push_back(output.requested);
+  std::vector<std::filesystem::path> inputs{data.path};
+  if (data.run) inputs.push_back(ResultsFile::path_beside(data.path));
+  for (const std::string& input :
+       {options.attachment, options.certificate.laboratory, options.certificate.as_found})
+    if (!input.empty()) inputs.emplace_back(input);
+  inputs.insert(inputs.end(), options.certificate.temperature.begin(), options.certificate.temperature.end());
+  require_writable(requested, inputs, options.force);
+  if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
+    throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));
+  if (!options.csv_raw.empty() && !data.run) {
+    throw std::invalid_argument(
+        fmt::format("--csv-raw: {} is a CSV of averaged readings and has no single readings", options.file));
+  }
+}
+
+/// Whether files of data alone are wanted, which hold all items. Everything else is of one.
+bool wants_data_alone(const ReportOptions& options) {
+  const bool wants_pages = options.json || options.draft || options.record || !options.html.empty() ||
+                           !options.pdf.empty() || !options.dcc.empty();
+  return !wants_pages && (!options.csv.empty() || !options.csv_raw.empty() || !options.hdf5.empty());
+}
+
+}  // namespace
+
+CLI::App* add_report(CLI::App& parent, int& exit_code) {
+  auto options = std::make_shared<ReportOptions>();
+  CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
+  command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
+  command->add_option("--item", options->item,
+                      "of a run with several items: whose report, from 1 (--csv, --csv-raw and --hdf5 alone: "
+                      "default all)");
+  command->add_option("--html", options->html, "write the report as one HTML page with figures");
+  CLI::Option* pdf = command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
+  command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
+  command->add_option("--csv", options->csv,
+                      "write the averaged readings as CSV, which `abcal analyse` reads");
+  command->add_option("--csv-raw", options->csv_raw, "write the single readings as CSV");
+  command->add_option("--hdf5", options->hdf5, "write readings and results as HDF5 with NeXus conventions");
+  command->add_option(
+      "--dcc", options->dcc,
+      "write the digital calibration certificate (XML, DCC 3.3.0): the one that was issued, or "
+      "a draft; docs/certificate.md");
+  add_certificate_options(*command, options->certificate);
+  command->add_flag("--draft", options->draft,
+                    "make a draft of the certificate even if the run or its equipment has problems");
+  CLI::Option* record = command->add_flag(
+      "--record", options->record,
+      "the laboratory's own record of the run, with figures, also where there is a certificate");
+  for (const char* of_certificate : {"--dcc", "--draft"})
+    record->excludes(command->get_option(of_certificate));
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
+  command->add_flag("--force", options->force, "overwrite files that exist");
+  command->callback([options, &exit_code] {
+    std::optional<PdfPrinter> printer;
+    if (!options->pdf.empty()) printer.emplace();
+    const int item = wants_data_alone(*options) ? options->item : chosen_item(options->file, options->item);
+    const std::vector<ReportData> items = gather_items(options->file, RealClock().utc_now(), item);
+    const ReportData& data = items.front();
+    std::string certificate_xml;
+    if (of_certificate(*options, data))
+      certificate_xml =
+          certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+    const Document document =
+        certificate_xml.empty() ? calibration_document(data) : certificate_page(certificate_xml);
+    std::optional<HtmlPage> made;
+    const auto page = [&]() -> const HtmlPage& {
+      if (!made) {
+        made = document_html(document);
+        print_warnings(*made);
+      }
+      return *made;
+    };
+    const std::vector<Output> outputs =
+        outputs_of(*options, items, certificate_xml, {page, printer ? &*printer : nullptr});
+    check(*options, data, outputs);
+    write_all(outputs, options->json);
+    if (options->json) {
+      nlohmann::ordered_json json = report_json(data);
+      if (!certificate_xml.empty()) json["certificate"] = certificate_json(certificate_xml);
+      print_result("{}\n", json.dump(2));
+    } else if (outputs.empty()) {
+      print_result("{}", document_text(document, stdout));
+    }
+    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
+      print_log("caution: {}\n", caution);
+    const bool has_numbers = std::ranges::any_of(
+        items, [](const ReportData& each) { return each.result().verdict != Verdict::kNotUsable; });
+    exit_code = has_numbers ? kExitDone : kExitFailed;
+  });
+  return command;
+}
+
+}  // namespace abcal

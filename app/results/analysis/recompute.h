@@ -1,0 +1,31 @@
+#pragma once
+
+#include <filesystem>
+#include <vector>
+
+#include "app/bench_file/bench_config.h"
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/verify_run.h"
+
+namespace abcal {
+
+/// Stores an analysis of an item with its closed run.
+/// @throws RunFileError
+void keep_analysis(ResultsFile& results, const std::string& utc, const CalibrationResult& result,
+                   const StoredRun& run);
+
+/// Recomputes the content of a run beyond its readings: its plan from its bench file, whether every planned
+/// angle was measured where it was planned, and the stored analyses from the dwells.
+/// @param bench    the bench file of the run; null: this program cannot read it, and the plan is not compared
+/// with it
+/// @param results  the present analyses, one for each estimator
+std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
+                                      const BenchConfig* bench,
+                                      const std::vector<CalibrationResult>& results);
+
+/// All checks of a run: verify_run() and recompute(). Reads and analyses the run.
+/// @throws RunFileError if the file is no run file at all
+std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run);
+
+}  // namespace abcal

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <cstdio>
+#include <string>
+
+#include "app/results/analysis/analyses.h"
+
+namespace abcal {
+
+/// A result on the first screen of a terminal, no line wider than 80 columns: the verdict first; the matrix,
+/// then s, phi and O of u, v, w, each with its expanded uncertainty U = k u (95.45 %); what dominates U; the
+/// warnings, each with a command or a page; the name of the file. Names of files and commands stay whole,
+/// however long, so that they can be copied. The result is the first of the item. Colours as `stream` allows.
+/// @param file  name of the run or CSV, as a command takes it
+std::string summary_text(const AnalysedItem& item, const std::string& file, std::FILE* stream);
+
+/// All items of a run: the verdict of all, then a short block for each item. A single item as above.
+std::string summary_text(const AnalysedRun& run, const std::string& file, std::FILE* stream);
+
+/// Everything else: every quantity with k, type A and type B, the stage, checks, all estimators side by side,
+/// and each default with its cost. Lines are as wide as their tables.
+std::string full_text(const AnalysedItem& item, std::FILE* stream);
+std::string full_text(const AnalysedRun& run, std::FILE* stream);
+
+}  // namespace abcal
