@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "drivers/instrument/clock.h"
 #include "sim/firmware/unserved_commands.h"
@@ -49,6 +50,24 @@ class Firmware {
 
  private:
   UnservedCommands unserved_;
+};
+
+/// A firmware whose inside is defined in its source, and not in its header.
+class EncasedFirmware : public Firmware {
+ public:
+  void receive(std::string_view bytes, Clock::Instant now) override { inside_->receive(bytes, now); }
+  std::string transmit(Clock::Instant now) override { return inside_->transmit(now); }
+  std::optional<Clock::Instant> next_due() const override { return inside_->next_due(); }
+  void session_starts() override { inside_->session_starts(); }
+  void power(bool on, Clock::Instant now) override { inside_->power(on, now); }
+  std::optional<unsigned> line_speed() const override { return inside_->line_speed(); }
+
+ protected:
+  /// Called by every constructor.
+  void encase(std::unique_ptr<Firmware> inside) { inside_ = std::move(inside); }
+
+ private:
+  std::unique_ptr<Firmware> inside_;
 };
 
 }  // namespace abcal::sim

@@ -91,14 +91,14 @@ float float_at(std::string_view bytes, std::size_t at) {
 
 }  // namespace
 
-class MavlinkFirmware::Device {
+class MavlinkFirmware::Device final : public Firmware {
  public:
   Device(std::shared_ptr<SimBench> bench, MavlinkSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override {
     received_.clear();
     replies_.clear();
   }
@@ -476,25 +476,11 @@ std::optional<Clock::Instant> MavlinkFirmware::Device::next_due() const {
   return due;
 }
 
-MavlinkFirmware::MavlinkFirmware(std::shared_ptr<SimBench> bench, MavlinkSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
-MavlinkFirmware::~MavlinkFirmware() = default;
-
+MavlinkFirmware::MavlinkFirmware(std::shared_ptr<SimBench> bench, MavlinkSettings settings) {
+  encase(std::make_unique<Device>(std::move(bench), std::move(settings), unserved()));
+}
 void MavlinkFirmware::restart(std::shared_ptr<SimBench> bench, MavlinkSettings settings) {
-  device_ = std::make_unique<Device>(std::move(bench), std::move(settings), unserved());
-}
-
-void MavlinkFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  device_->receive(bytes, now);
-}
-std::string MavlinkFirmware::transmit(Clock::Instant now) {
-  return device_->transmit(now);
-}
-std::optional<Clock::Instant> MavlinkFirmware::next_due() const {
-  return device_->next_due();
-}
-void MavlinkFirmware::session_starts() {
-  device_->forget_session();
+  encase(std::make_unique<Device>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

@@ -28,21 +28,14 @@ struct MavlinkSettings {
 /// the first accelerometer (CAL_ACC0_* of PX4, INS_ACC* of ArduPilot) are read and set, are kept at once, and
 /// are applied to the output: (raw - offset) scale. Other commands are answered
 /// "not supported" and noted (unserved()). Gyroscope and magnetometer read 0.
-class MavlinkFirmware final : public Firmware {
+class MavlinkFirmware final : public EncasedFirmware {
  public:
   explicit MavlinkFirmware(std::shared_ptr<SimBench> bench, MavlinkSettings settings = {});
-  ~MavlinkFirmware() override;
   /// Switches off and on: everything is set from `bench` and `settings` again.
   void restart(std::shared_ptr<SimBench> bench, MavlinkSettings settings);
 
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-
  private:
   class Device;
-  std::unique_ptr<Device> device_;
 };
 
 }  // namespace abcal::sim

@@ -269,19 +269,19 @@ std::string kept_name(std::uint8_t set, std::uint8_t command, std::string_view k
 
 }  // namespace
 
-class MipFirmware::Device {
+class MipFirmware::Device final : public Firmware {
  public:
   Device(std::shared_ptr<SimBench> bench, MipSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void power(bool on, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void power(bool on, Clock::Instant now) override;
+  void session_starts() override {
     input_.clear();
     replies_.clear();
   }
-  unsigned line_speed() const { return line_speed_; }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
+  std::optional<unsigned> line_speed() const override { return line_speed_; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
 
  private:
   struct Answer {
@@ -388,7 +388,7 @@ Stored MipFirmware::Device::factory() const {
 
 void MipFirmware::Device::power(bool on, Clock::Instant now) {
   now_ = now;
-  forget_session();
+  session_starts();
   idle_ = true;
   if (!on) return;
   current_ = saved_;
@@ -1121,33 +1121,8 @@ std::optional<Clock::Instant> MipFirmware::Device::next_due() const {
   return due;
 }
 
-MipFirmware::MipFirmware(std::shared_ptr<SimBench> bench, MipSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
-
-MipFirmware::~MipFirmware() = default;
-
-void MipFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  device_->receive(bytes, now);
-}
-
-std::string MipFirmware::transmit(Clock::Instant now) {
-  return device_->transmit(now);
-}
-
-std::optional<Clock::Instant> MipFirmware::next_due() const {
-  return device_->next_due();
-}
-
-void MipFirmware::session_starts() {
-  device_->forget_session();
-}
-
-void MipFirmware::power(bool on, Clock::Instant now) {
-  device_->power(on, now);
-}
-
-std::optional<unsigned> MipFirmware::line_speed() const {
-  return device_->line_speed();
+MipFirmware::MipFirmware(std::shared_ptr<SimBench> bench, MipSettings settings) {
+  encase(std::make_unique<Device>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

@@ -32,22 +32,13 @@ struct MipSettings {
 /// (SimBench::body_motion); events can be set and are not carried out. Commands that it does not know are
 /// refused by code 1, and noted (unserved()), as are commands with a field that the model does not have. A
 /// new baud rate holds from the end of its answer on.
-class MipFirmware final : public Firmware {
+class MipFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument if the base rate or a text does not fit its field.
   explicit MipFirmware(std::shared_ptr<SimBench> bench, MipSettings settings = {});
-  ~MipFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;
-  std::unique_ptr<Device> device_;
 };
 
 }  // namespace abcal::sim

@@ -133,19 +133,19 @@ std::string decimal(double value) {
 
 }  // namespace
 
-class NewportEspFirmware::Controller {
+class NewportEspFirmware::Controller final : public Firmware {
  public:
   Controller(std::shared_ptr<SimBench> bench, NewportEspSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void session_starts() override {
     line_.clear();
     replies_.clear();
   }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void power(bool on, Clock::Instant now);
-  unsigned baud() const { return settings_.baud; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override { return settings_.baud; }
 
  private:
   /// One command of a line.
@@ -1041,7 +1041,7 @@ std::optional<std::string> NewportEspFirmware::Controller::reset(const Command&)
 void NewportEspFirmware::Controller::power(bool on, Clock::Instant now) {
   now_ = now;
   update();
-  forget_session();
+  session_starts();
   entered_program_.reset();
   if (!on) {
     for (std::size_t k = 0; k < 2; ++k)
@@ -1089,33 +1089,8 @@ std::optional<std::string> NewportEspFirmware::Controller::erase_program(const C
   return std::nullopt;
 }
 
-NewportEspFirmware::NewportEspFirmware(std::shared_ptr<SimBench> bench, NewportEspSettings settings)
-    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved())) {}
-
-NewportEspFirmware::~NewportEspFirmware() = default;
-
-void NewportEspFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  controller_->receive(bytes, now);
-}
-
-std::string NewportEspFirmware::transmit(Clock::Instant now) {
-  return controller_->transmit(now);
-}
-
-std::optional<Clock::Instant> NewportEspFirmware::next_due() const {
-  return controller_->next_due();
-}
-
-void NewportEspFirmware::session_starts() {
-  controller_->forget_session();
-}
-
-void NewportEspFirmware::power(bool on, Clock::Instant now) {
-  controller_->power(on, now);
-}
-
-std::optional<unsigned> NewportEspFirmware::line_speed() const {
-  return controller_->baud();
+NewportEspFirmware::NewportEspFirmware(std::shared_ptr<SimBench> bench, NewportEspSettings settings) {
+  encase(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

@@ -38,22 +38,13 @@ struct NewportEspSettings {
 /// Its encoders are incremental: wherever an axis is when the controller is switched on, it reads 0 until it
 /// is homed (OR). The home switch lies at the controller's zero. The controller does not say whether an axis
 /// was homed.
-class NewportEspFirmware final : public Firmware {
+class NewportEspFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument if a sign or the name of an axis is invalid.
   explicit NewportEspFirmware(std::shared_ptr<SimBench> bench, NewportEspSettings settings = {});
-  ~NewportEspFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Controller;
-  std::unique_ptr<Controller> controller_;
 };
 
 }  // namespace abcal::sim

@@ -194,20 +194,20 @@ bool boolean(std::string_view text) {
 
 }  // namespace
 
-class ScpiVoltmeterFirmware::Meter {
+class ScpiVoltmeterFirmware::Meter final : public Firmware {
  public:
   Meter(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void session_starts() override {
     input_.clear();
     waiting_.clear();
     replies_.clear();
   }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void power(bool on, Clock::Instant now);
-  unsigned baud() const { return settings_.baud; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override { return settings_.baud; }
 
  private:
   struct Command {
@@ -463,7 +463,7 @@ ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmet
 void ScpiVoltmeterFirmware::Meter::power(bool on, Clock::Instant now) {
   now_ = now;
   measured_until_ = std::min(measured_until_, now);
-  forget_session();
+  session_starts();
   busy_until_.reset();
   if (!on) return;
   errors_.clear();
@@ -1464,33 +1464,9 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::points(const A
   return fmt::format("{:+}", made);
 }
 
-ScpiVoltmeterFirmware::ScpiVoltmeterFirmware(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings)
-    : meter_(std::make_unique<Meter>(std::move(bench), std::move(settings), unserved())) {}
-
-ScpiVoltmeterFirmware::~ScpiVoltmeterFirmware() = default;
-
-void ScpiVoltmeterFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  meter_->receive(bytes, now);
-}
-
-std::string ScpiVoltmeterFirmware::transmit(Clock::Instant now) {
-  return meter_->transmit(now);
-}
-
-std::optional<Clock::Instant> ScpiVoltmeterFirmware::next_due() const {
-  return meter_->next_due();
-}
-
-void ScpiVoltmeterFirmware::session_starts() {
-  meter_->forget_session();
-}
-
-void ScpiVoltmeterFirmware::power(bool on, Clock::Instant now) {
-  meter_->power(on, now);
-}
-
-std::optional<unsigned> ScpiVoltmeterFirmware::line_speed() const {
-  return meter_->baud();
+ScpiVoltmeterFirmware::ScpiVoltmeterFirmware(std::shared_ptr<SimBench> bench,
+                                             ScpiVoltmeterSettings settings) {
+  encase(std::make_unique<Meter>(std::move(bench), std::move(settings), unserved()));
 }
 
 ScpiVoltmeterSettings scpi_model(const std::string& model) {

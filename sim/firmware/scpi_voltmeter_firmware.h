@@ -49,22 +49,13 @@ ScpiVoltmeterSettings scpi_model(const std::string& model);
 /// measurement wait, except those after INIT, which runs in the background. Short and long forms, any case,
 /// several commands joined by ';'. Status registers according to IEEE 488.2. Commands that it does not know
 /// are error -113, and noted (unserved()).
-class ScpiVoltmeterFirmware final : public Firmware {
+class ScpiVoltmeterFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument if a setting cannot be.
   explicit ScpiVoltmeterFirmware(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings = {});
-  ~ScpiVoltmeterFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Meter;
-  std::unique_ptr<Meter> meter_;
 };
 
 }  // namespace abcal::sim

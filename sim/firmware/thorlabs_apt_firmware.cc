@@ -104,14 +104,14 @@ constexpr auto kKept = std::to_array<KeptParameters>({
 });
 }  // namespace
 
-class ThorlabsAptFirmware::Controller {
+class ThorlabsAptFirmware::Controller final : public Firmware {
  public:
   Controller(std::shared_ptr<SimBench> bench, ThorlabsAptSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override {
     received_.clear();
     replies_.clear();
   }
@@ -577,21 +577,8 @@ std::optional<Clock::Instant> ThorlabsAptFirmware::Controller::next_due() const 
   return due;
 }
 
-ThorlabsAptFirmware::ThorlabsAptFirmware(std::shared_ptr<SimBench> bench, ThorlabsAptSettings settings)
-    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved())) {}
-ThorlabsAptFirmware::~ThorlabsAptFirmware() = default;
-
-void ThorlabsAptFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  controller_->receive(bytes, now);
-}
-std::string ThorlabsAptFirmware::transmit(Clock::Instant now) {
-  return controller_->transmit(now);
-}
-std::optional<Clock::Instant> ThorlabsAptFirmware::next_due() const {
-  return controller_->next_due();
-}
-void ThorlabsAptFirmware::session_starts() {
-  controller_->forget_session();
+ThorlabsAptFirmware::ThorlabsAptFirmware(std::shared_ptr<SimBench> bench, ThorlabsAptSettings settings) {
+  encase(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

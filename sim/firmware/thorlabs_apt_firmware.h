@@ -29,20 +29,13 @@ struct ThorlabsAptSettings {
 /// A Thorlabs controller that speaks APT (docs/protocols/thorlabs_apt.md; [unverified against a device]),
 /// turning the axes of a SimBench. Messages for other modules are skipped, and so are unknown ones, which are
 /// noted (unserved()). A message that is not complete 50 ms after its last byte is dropped.
-class ThorlabsAptFirmware final : public Firmware {
+class ThorlabsAptFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument if a sign or the name of an axis is invalid.
   explicit ThorlabsAptFirmware(std::shared_ptr<SimBench> bench, ThorlabsAptSettings settings = {});
-  ~ThorlabsAptFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
 
  private:
   class Controller;
-  std::unique_ptr<Controller> controller_;
 };
 
 }  // namespace abcal::sim

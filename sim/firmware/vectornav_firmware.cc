@@ -188,19 +188,19 @@ std::string_view async_name(unsigned type) {
 
 }  // namespace
 
-class VectorNavFirmware::Device {
+class VectorNavFirmware::Device final : public Firmware {
  public:
   Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void power(bool on, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void power(bool on, Clock::Instant now) override;
+  void session_starts() override {
     in_command_ = false;
     replies_.clear();
   }
-  unsigned line_speed() const { return line_speed_; }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
+  std::optional<unsigned> line_speed() const override { return line_speed_; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
 
  private:
   using Words = std::vector<std::string>;
@@ -301,7 +301,7 @@ void VectorNavFirmware::Device::restart() {
 
 void VectorNavFirmware::Device::power(bool on, Clock::Instant now) {
   now_ = now;
-  forget_session();
+  session_starts();
   streaming_ = false;
   if (!on) return;
   restart();
@@ -833,33 +833,8 @@ std::optional<Clock::Instant> VectorNavFirmware::Device::next_due() const {
   return due;
 }
 
-VectorNavFirmware::VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
-
-VectorNavFirmware::~VectorNavFirmware() = default;
-
-void VectorNavFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  device_->receive(bytes, now);
-}
-
-std::string VectorNavFirmware::transmit(Clock::Instant now) {
-  return device_->transmit(now);
-}
-
-std::optional<Clock::Instant> VectorNavFirmware::next_due() const {
-  return device_->next_due();
-}
-
-void VectorNavFirmware::session_starts() {
-  device_->forget_session();
-}
-
-void VectorNavFirmware::power(bool on, Clock::Instant now) {
-  device_->power(on, now);
-}
-
-std::optional<unsigned> VectorNavFirmware::line_speed() const {
-  return device_->line_speed();
+VectorNavFirmware::VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings) {
+  encase(std::make_unique<Device>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

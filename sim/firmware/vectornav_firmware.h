@@ -31,22 +31,13 @@ struct VectorNavSettings {
 /// filter are kept and change nothing. Register 25 is applied. Attitude, gyro and magnetometer show the
 /// motion of the platter (SimBench::body_motion), from the start on. Commands that are refused by VNERR are
 /// noted too. A new baud rate holds from the end of its answer on.
-class VectorNavFirmware final : public Firmware {
+class VectorNavFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.
   explicit VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings = {});
-  ~VectorNavFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;
-  std::unique_ptr<Device> device_;
 };
 
 }  // namespace abcal::sim

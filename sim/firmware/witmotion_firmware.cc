@@ -108,15 +108,15 @@ std::string frame(std::uint8_t type, const std::array<std::int16_t, 4>& words) {
 
 }  // namespace
 
-class WitMotionFirmware::Device {
+class WitMotionFirmware::Device final : public Firmware {
  public:
   Device(std::shared_ptr<SimBench> bench, WitMotionSettings settings);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void power(bool on, Clock::Instant now);
-  unsigned line_speed() const { return line_speed_; }
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override { return line_speed_; }
 
  private:
   using Registers = std::map<std::uint8_t, std::uint16_t>;
@@ -362,29 +362,8 @@ std::optional<Clock::Instant> WitMotionFirmware::Device::next_due() const {
   return due;
 }
 
-WitMotionFirmware::WitMotionFirmware(std::shared_ptr<SimBench> bench, WitMotionSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), settings)) {}
-
-WitMotionFirmware::~WitMotionFirmware() = default;
-
-void WitMotionFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  device_->receive(bytes, now);
-}
-
-std::string WitMotionFirmware::transmit(Clock::Instant now) {
-  return device_->transmit(now);
-}
-
-std::optional<Clock::Instant> WitMotionFirmware::next_due() const {
-  return device_->next_due();
-}
-
-void WitMotionFirmware::power(bool on, Clock::Instant now) {
-  device_->power(on, now);
-}
-
-std::optional<unsigned> WitMotionFirmware::line_speed() const {
-  return device_->line_speed();
+WitMotionFirmware::WitMotionFirmware(std::shared_ptr<SimBench> bench, WitMotionSettings settings) {
+  encase(std::make_unique<Device>(std::move(bench), settings));
 }
 
 }  // namespace abcal::sim

@@ -20,21 +20,13 @@ struct WitMotionSettings {
 /// A WitMotion sensor (docs/protocols/witmotion.md), reading the world of a SimBench. Its output unit R is g,
 /// in steps of 16/32768 g, clipped at +-16 g without a word. Gyro, magnetometer and angles show the motion of
 /// the platter (SimBench::body_motion). Streams from power on, as they all do.
-class WitMotionFirmware final : public Firmware {
+class WitMotionFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument for a baud rate or a rate code that it does not have.
   explicit WitMotionFirmware(std::shared_ptr<SimBench> bench, WitMotionSettings settings = {});
-  ~WitMotionFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;
-  std::unique_ptr<Device> device_;
 };
 
 }  // namespace abcal::sim

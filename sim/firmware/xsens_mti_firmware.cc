@@ -251,19 +251,19 @@ std::string from_hex(std::string_view digits) {
 
 }  // namespace
 
-class XsensMtiFirmware::Device {
+class XsensMtiFirmware::Device final : public Firmware {
  public:
   Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void power(bool on, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void power(bool on, Clock::Instant now) override;
+  void session_starts() override {
     input_.clear();
     replies_.clear();
   }
-  unsigned line_speed() const { return line_speed_; }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
+  std::optional<unsigned> line_speed() const override { return line_speed_; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
 
  private:
   enum class State { kSwitchedOff, kWakingUp, kConfig, kMeasurement };
@@ -687,7 +687,7 @@ void XsensMtiFirmware::Device::switch_on(Clock::Instant t) {
 void XsensMtiFirmware::Device::power(bool on, Clock::Instant now) {
   now_ = now;
   end_measurement(now);
-  forget_session();
+  session_starts();
   state_ = State::kSwitchedOff;
   changes_state_ = Clock::Instant::max();
   if (on) switch_on(now);
@@ -878,33 +878,8 @@ std::optional<Clock::Instant> XsensMtiFirmware::Device::next_due() const {
   return due;
 }
 
-XsensMtiFirmware::XsensMtiFirmware(std::shared_ptr<SimBench> bench, XsensMtiSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
-
-XsensMtiFirmware::~XsensMtiFirmware() = default;
-
-void XsensMtiFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  device_->receive(bytes, now);
-}
-
-std::string XsensMtiFirmware::transmit(Clock::Instant now) {
-  return device_->transmit(now);
-}
-
-std::optional<Clock::Instant> XsensMtiFirmware::next_due() const {
-  return device_->next_due();
-}
-
-void XsensMtiFirmware::session_starts() {
-  device_->forget_session();
-}
-
-void XsensMtiFirmware::power(bool on, Clock::Instant now) {
-  device_->power(on, now);
-}
-
-std::optional<unsigned> XsensMtiFirmware::line_speed() const {
-  return device_->line_speed();
+XsensMtiFirmware::XsensMtiFirmware(std::shared_ptr<SimBench> bench, XsensMtiSettings settings) {
+  encase(std::make_unique<Device>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

@@ -33,22 +33,13 @@ struct XsensMtiSettings {
 /// Switched on, it sends WakeUp and begins to measure 500 ms later unless a command says otherwise, with its
 /// last output configuration. A new baud rate holds from the next reset on. Messages that it does not know
 /// are error 04, and noted (unserved()).
-class XsensMtiFirmware final : public Firmware {
+class XsensMtiFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.
   explicit XsensMtiFirmware(std::shared_ptr<SimBench> bench, XsensMtiSettings settings = {});
-  ~XsensMtiFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;
-  std::unique_ptr<Device> device_;
 };
 
 }  // namespace abcal::sim

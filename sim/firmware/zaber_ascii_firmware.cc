@@ -100,20 +100,20 @@ std::string joined(const Words& words, std::size_t first = 0) {
 
 }  // namespace
 
-class ZaberAsciiFirmware::Chain {
+class ZaberAsciiFirmware::Chain final : public Firmware {
  public:
   Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings, UnservedCommands& unserved);
 
-  void receive(std::string_view bytes, Clock::Instant now);
-  void forget_session() {
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  void session_starts() override {
     line_.clear();
     continued_.reset();
     replies_.clear();
   }
-  std::string transmit(Clock::Instant now);
-  std::optional<Clock::Instant> next_due() const;
-  void power(bool on, Clock::Instant now);
-  unsigned baud() const { return settings_.baud; }
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override { return settings_.baud; }
 
  private:
   struct Axis {
@@ -568,7 +568,7 @@ void ZaberAsciiFirmware::Chain::power_on(std::size_t k) {
 /// Switches the whole line.
 void ZaberAsciiFirmware::Chain::power(bool on, Clock::Instant now) {
   advance(now);
-  forget_session();
+  session_starts();
   for (const Device& device : devices_) {
     for (const auto k : device.axes) {
       if (!k) continue;
@@ -1075,33 +1075,8 @@ std::optional<Clock::Instant> ZaberAsciiFirmware::Chain::next_due() const {
   return due;
 }
 
-ZaberAsciiFirmware::ZaberAsciiFirmware(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings)
-    : chain_(std::make_unique<Chain>(std::move(bench), std::move(settings), unserved())) {}
-
-ZaberAsciiFirmware::~ZaberAsciiFirmware() = default;
-
-void ZaberAsciiFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  chain_->receive(bytes, now);
-}
-
-std::string ZaberAsciiFirmware::transmit(Clock::Instant now) {
-  return chain_->transmit(now);
-}
-
-std::optional<Clock::Instant> ZaberAsciiFirmware::next_due() const {
-  return chain_->next_due();
-}
-
-void ZaberAsciiFirmware::session_starts() {
-  chain_->forget_session();
-}
-
-void ZaberAsciiFirmware::power(bool on, Clock::Instant now) {
-  chain_->power(on, now);
-}
-
-std::optional<unsigned> ZaberAsciiFirmware::line_speed() const {
-  return chain_->baud();
+ZaberAsciiFirmware::ZaberAsciiFirmware(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings) {
+  encase(std::make_unique<Chain>(std::move(bench), std::move(settings), unserved()));
 }
 
 }  // namespace abcal::sim

@@ -46,22 +46,13 @@ struct ZaberAsciiSettings {
 /// After power-on an axis reads 0 at any position until it is homed; the home sensor lies at the controller's
 /// zero. An unknown command is rejected by BADCOMMAND, and noted (unserved()). comm.checksum, comm.alert and
 /// the device number are kept without power, positions are not.
-class ZaberAsciiFirmware final : public Firmware {
+class ZaberAsciiFirmware final : public EncasedFirmware {
  public:
   /// @throws std::invalid_argument if a sign or the name of an axis is invalid.
   explicit ZaberAsciiFirmware(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings = {});
-  ~ZaberAsciiFirmware() override;
-
-  void receive(std::string_view bytes, Clock::Instant now) override;
-  std::string transmit(Clock::Instant now) override;
-  std::optional<Clock::Instant> next_due() const override;
-  void session_starts() override;
-  void power(bool on, Clock::Instant now) override;
-  std::optional<unsigned> line_speed() const override;
 
  private:
   class Chain;
-  std::unique_ptr<Chain> chain_;
 };
 
 }  // namespace abcal::sim
