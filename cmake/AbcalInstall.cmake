@@ -64,14 +64,14 @@ install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-bench.service ${PROJECT_BINA
   ${PROJECT_BINARY_DIR}/packaging/abcal-witness.service DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
-set(library_targets abcal_instrument abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_estimators)
+set(library_targets abcal_instrument abcal_messages abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_estimators)
 foreach(target IN LISTS library_targets)
   string(REPLACE abcal_ "" name ${target})
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name})
 endforeach()
 install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-foreach(folder drivers/instrument tests/contract protocol/plan protocol/statistics protocol/model protocol/record protocol/estimators)
+foreach(folder drivers/instrument tests/contract protocol/messages protocol/plan protocol/statistics protocol/model protocol/record protocol/estimators)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()

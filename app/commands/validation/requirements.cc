@@ -333,7 +333,7 @@ RequirementSection reporting() {
             "MakeCertificateTest.NoUncertaintyIsBelowTheScopeInWhateverUnit"}},
           {"a certificate is of one language throughout",
            "The customer does not understand a reservation or a reason.",
-           {"missing_in_language", "Words::translated"},
+           {"missing_in_language", "Message::rendered"},
            {"WordsTest.EveryLanguageHasEverySentence", "WordsTest.AGermanCertificateHasNoEnglishSentence"}},
           {"decision rules and their risk (7.8.6)",
            "Items are wrongly accepted or rejected.",

@@ -1,11 +1,11 @@
 // Translates English texts of the program into the language of the page, by the tables of the certificates and of the console
-// with "{}" for a value. A text without an entry stays English, and is marked as such.
+// with "{name}" or "{}" for a value. A text without an entry stays English, and is marked as such.
 import {language} from '/language.js';
 
-const load = async (name) => (await import(name)).default;
-const table = language === 'de' ? {...await load('/certificate_de.js'), ...await load('/program_de.js')} : {};
-const templates = Object.entries(table).filter(([english]) => english.includes('{}') && /[a-z]{2}/i.test(english))
-  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replaceAll('{}', '(.+?)')}$`), said}))
+const table = language === 'de' ? {...await (await fetch('/certificate_de.json')).json(), ...(await import('/program_de.js')).default} : {};
+const place = /\{\w*\}/g;
+const templates = Object.entries(table).filter(([english]) => english.includes('{') && /[a-z]{2}/i.test(english.replace(place, '')))
+  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place)}))
   .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The longest pattern first.
 const known = new Map();
 
@@ -18,11 +18,11 @@ function valueSaid(value) {
 }
 
 function byTemplate(words) {
-  for (const {pattern, said} of templates) {
+  for (const {pattern, said, names} of templates) {
     const values = pattern.exec(words)?.slice(1).map(valueSaid);
     if (!values || values.includes(null)) continue;
     let i = 0;
-    return said.replace(/\{\}/g, () => values[i++]);
+    return said.replace(place, (name) => (name === '{}' ? values[i++] : values[names.indexOf(name)]));
   }
   return null;
 }

@@ -409,7 +409,7 @@ std::string in_words(const Words& words, const Problem& problem) {
   const std::string where = words.composed(problem.where).text, found = words.composed(problem.found).text,
                     required = words.composed(problem.required).text;
   if (found.empty() || required.empty()) return to_string(Problem{where, found, required});
-  return words("{}: found {}; required: {}", where, found, required).text;
+  return words("{where}: found {found}; required: {required}", where, found, required).text;
 }
 
 std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {

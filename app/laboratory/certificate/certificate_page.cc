@@ -39,7 +39,7 @@ std::string address(const PageSource& from, const std::string& contact) {
                  from.text(contact + "/dcc:eMail"), from.text(contact + "/dcc:phone")});
 }
 
-std::string identification(const PageSource& from, const std::string& of, const std::string& name) {
+std::string identification(const PageSource& from, const std::string& of, Term name) {
   return from.text(
       fmt::format("{}/dcc:identifications/dcc:identification[dcc:name/dcc:content=\"{}\"]/dcc:value", of,
                   from.say(name)));
@@ -97,7 +97,7 @@ std::string conformity_words(const PageSource& from, xmlNode* measurement) {
   std::string counts;
   for (const auto& [verdict, count] : verdicts)
     counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ", from.words.known(verdict), count);
-  return from.words("Conformity with specification, number of decisions: {}.", counts).text;
+  return from.words("Conformity with specification, number of decisions: {counts}.", counts).text;
 }
 
 /// The main results: matrix, intrinsic properties, offsets.
@@ -168,7 +168,7 @@ std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& 
     return value.value;
   };
   const std::string low = shown(lower), high = shown(upper);
-  if (!low.empty() && !high.empty()) return from.words("{} to {}", low, high).text + unit;
+  if (!low.empty() && !high.empty()) return from.words("{from} to {to}", low, high).text + unit;
   return (low.empty() ? "≤ " + high : "≥ " + low) + unit;
 }
 
@@ -241,7 +241,7 @@ Section condition_section(const PageSource& from, xmlNode* measurement) {
       values.push_back(values_of(from, quantity, is_hybrid(from, quantity)).front());
     std::string text = values.front().value;
     if (values.size() > 1 && values.back().value != text)
-      text = from.words("{} to {}", text, values.back().value).text;
+      text = from.words("{from} to {to}", text, values.back().value).text;
     text += " " + values.front().unit;
     if (!values.front().expanded.empty())
       text +=
@@ -261,7 +261,7 @@ Section equipment_section(const PageSource& from, xmlNode* measurement) {
                    {from.say("Calibrated on"), CellKind::kUnit},
                    {from.say("Valid until"), CellKind::kUnit}};
   for (xmlNode* one : from.xml.nodes("dcc:measuringEquipments/dcc:measuringEquipment", measurement)) {
-    const auto fact = [&](const std::string& name) {
+    const auto fact = [&](Term name) {
       return from.text(
           fmt::format("dcc:identifications/dcc:identification[dcc:name/dcc:content=\"{}\"]/dcc:value",
                       from.say(name)),
@@ -339,22 +339,27 @@ Section person_section(const PageSource& from) {
                            : from.say("The XML of this certificate is attached to the PDF; it is the "
                                       "certificate.")}}};
   if (const auto entry = registered_entry_of(from.xml))
-    section.blocks.push_back(Paragraph{from.words("Register {}, entry {}, {}", entry->register_identity,
-                                                  entry->entry, entry->digits_on_paper())
-                                           .text});
+    section.blocks.push_back(
+        Paragraph{from.words("Register {register}, entry {entry}, {digits}", entry->register_identity,
+                             entry->entry, entry->digits_on_paper())
+                      .text});
   return section;
 }
 
 /// Marks, and the sentence of each that must be seen first.
 void add_marks(const PageSource& from, Document& document) {
-  for (const auto& [ref_type, mark] : {std::pair{"abc_draft", "DRAFT"},
+  struct Mark {
+    const char* ref_type;
+    Term mark;
+  };
+  for (const auto& [ref_type, mark] : {Mark{"abc_draft", "DRAFT"},
                                        {"abc_training", "TRAINING"},
                                        {"abc_simulated", ""},
                                        {"abc_replayed", ""}}) {
     const std::string text = from.content(fmt::format(
         "dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']/dcc:declaration", ref_type));
     if (text.empty()) continue;
-    if (document.page_mark.empty() && *mark != '\0') document.page_mark = from.say(mark);
+    if (document.page_mark.empty() && !mark.english().empty()) document.page_mark = from.say(mark);
     document.cautions.push_back(
         text.substr(0, text.find(". ") == std::string::npos ? text.size() : text.find(". ") + 1));
   }
@@ -412,8 +417,8 @@ Document certificate_page(const std::string& xml) {
                         Words(query.text("dcc:administrativeData/dcc:coreData/dcc:usedLangCodeISO639_1"))};
   Document document;
   document.language = from.words.language();
-  document.page_words = from.say("page {} of {}");
-  document.figure_words = from.say("Figure {}: {}");
+  document.page_words = from.words("page {page} of {pages}", Stated{"{}"}, Stated{"{}"}).text;
+  document.figure_words = from.words("Figure {number}: {title}", Stated{"{}"}, Stated{"{}"}).text;
   document.title = from.say("Calibration certificate");
   document.subtitle = from.text("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier");
   document.identification =

@@ -86,7 +86,7 @@ void add_items(XmlElement& administrative, const Certificate& certificate) {
   const Words& words = certificate.words;
   XmlElement item = administrative.add("dcc:items").add("dcc:item");
   add_name(item, "dcc:name", job.item_name);
-  add_words(item, "dcc:description", words("Condition on receipt: {}", one_line(job.condition)));
+  add_words(item, "dcc:description", words("Condition on receipt: {condition}", one_line(job.condition)));
   if (const std::string maker = one_line(data.label("item.maker")); !maker.empty()) {
     XmlElement manufacturer = item.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", maker);
@@ -123,7 +123,8 @@ void add_persons(XmlElement& administrative, const Certificate& certificate) {
   XmlElement persons = administrative.add("dcc:respPersons");
   for (const RunOperator& who : certificate.operators)
     add_person(persons, certificate.laboratory, who.name,
-               words(who.verified() ? "measured by" : "measured by (stated, not verified)").text, false);
+               (who.verified() ? words("measured by") : words("measured by (stated, not verified)")).text,
+               false);
   if (certificate.issue)
     add_person(persons, certificate.laboratory, certificate.issue->approved_by, words("approved by").text,
                true);

@@ -43,7 +43,7 @@ Wording input_words(const Words& words, const std::string& input) {
   const std::size_t comma = input.rfind(", ");
   if (comma == std::string::npos || !input.ends_with(kUnknowns)) return words.as_given(words.known(input));
   const std::string count = input.substr(comma + 2, input.size() - comma - 2 - kUnknowns.size());
-  return words("{}, {} unknowns", words.known(input.substr(0, comma)), count);
+  return words("{input}, {unknowns} unknowns", words.known(input.substr(0, comma)), count);
 }
 
 std::string two_digits(double value, const std::string& what) {
@@ -53,7 +53,7 @@ std::string two_digits(double value, const std::string& what) {
 
 /// Outputs of one unit in the order of study_output.h.
 struct OutputGroup {
-  std::string name;
+  Term name;
   std::vector<int> outputs;
   std::string unit;     ///< Unit of the contributions that are given.
   double factor = 1.0;  ///< Number of these in one unit of the budget.
@@ -170,8 +170,8 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
     row.input = input_words(words, line.input);
     row.source = source_words(words, line.source);
     row.degrees_of_freedom = line.degrees_of_freedom;
-    row.kind = line.type_a ? words("type A, {}", words.known(line.distribution))
-                           : words("type B, {}", words.known(line.distribution));
+    row.kind = line.type_a ? words("type A, {distribution}", words.known(line.distribution))
+                           : words("type B, {distribution}", words.known(line.distribution));
     if (std::isfinite(line.standard_uncertainty)) {
       const auto [unit, factor] = input_unit(line.unit);
       row.input_uncertainty = {line.standard_uncertainty * factor, unit};
@@ -194,7 +194,7 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
   }
   if (raise.contribution.isZero(0.0)) return;
   raise.input = words("raised to the smallest uncertainty of the laboratory's scope (CMC)");
-  raise.kind = words("type B, {}", words.known("normal"));
+  raise.kind = words("type B, {distribution}", words.known("normal"));
   raise.source = words("the laboratory's scope");
   add(raise);
 }

@@ -95,7 +95,8 @@ void add_gravity(XmlElement& conditions, const Certificate& certificate, const C
   const std::string source = result.g_loc_source.empty() ? words("not stated").text : result.g_loc_source;
   const std::string& site = certificate.laboratory.laboratory.gravity_site;
   add_words(condition, "dcc:description",
-            site.empty() ? words("Source: {}", source) : words("Source: {}; holds at: {}", source, site));
+            site.empty() ? words("Source: {source}", source)
+                         : words("Source: {source}; holds at: {place}", source, site));
   XmlElement data = condition.add("dcc:data");
   XmlElement quantity = data.add("dcc:quantity");
   quantity.attribute("refType", "abc_localGravity");
@@ -106,11 +107,11 @@ void add_instrument(XmlElement& list, const Words& words, const InstrumentIdenti
   XmlElement equipment = list.add("dcc:measuringEquipment");
   equipment.attribute("refType", "abc_" + instrument.role);
   add_words(equipment, "dcc:name",
-            words("Instrument used as {}, as it identified itself", words.known(instrument.role)));
-  add_words(
-      equipment, "dcc:description",
-      words("firmware {}; {}", instrument.firmware.empty() ? words("not reported").text : instrument.firmware,
-            instrument.details));
+            words("Instrument used as {role}, as it identified itself", words.known(instrument.role)));
+  add_words(equipment, "dcc:description",
+            words("firmware {firmware}; {driver}",
+                  instrument.firmware.empty() ? words("not reported").text : instrument.firmware,
+                  instrument.details));
   if (!one_line(instrument.maker).empty()) {
     XmlElement manufacturer = equipment.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", instrument.maker);
@@ -125,13 +126,15 @@ void add_calibrated(XmlElement& list, const Words& words, const Equipment& from)
   equipment.attribute("refType", from.quantity == "angle" ? "basic_standardUsed" : "abc_equipment");
   add_name(equipment, "dcc:name", from.name);
   add_words(equipment, "dcc:description",
-            words("Calibrated in {}; certificate {} of {}, performed {}, valid until {}.",
+            words("Calibrated in {quantity}; certificate {certificate} of {issuer}, performed {performed}, "
+                  "valid until {due}.",
                   words.known(from.quantity), one_line(from.certificate), one_line(from.certificate_issuer),
                   from.performed ? format_date(*from.performed) : words("not stated").text,
                   from.due ? format_date(*from.due) : words("not stated").text));
   if (!from.certificate_sha256.empty())
-    add_hash(equipment, "dcc:certificate", words("Calibration certificate of {}", one_line(from.name)),
-             from.certificate, from.certificate_sha256);
+    add_hash(equipment, "dcc:certificate",
+             words("Calibration certificate of {quantity}", one_line(from.name)), from.certificate,
+             from.certificate_sha256);
   if (!one_line(from.maker).empty()) {
     XmlElement manufacturer = equipment.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", from.maker);
@@ -189,7 +192,7 @@ void add_protocol(XmlElement& methods, const Certificate& certificate, const Rep
   if (turns) add_line(protocol, "dcc:reference", "Gaitan, Geist, Measurement 189 (2022), 110528");
   if (!certificate.laboratory.job.procedure.empty())
     add_line(protocol, "dcc:reference",
-             words("Procedure of the laboratory: {}", certificate.laboratory.job.procedure).text);
+             words("Procedure of the laboratory: {procedure}", certificate.laboratory.job.procedure).text);
   XmlElement settings = protocol.add("dcc:usedMethodQuantities");
   const auto add = [&](const std::string& ref_type, const Wording& name, double value,
                        const std::string& unit) { add_setting(settings, ref_type, name, value, unit); };
@@ -217,7 +220,7 @@ void add_protocol(XmlElement& methods, const Certificate& certificate, const Rep
 void add_estimator(XmlElement& methods, const Words& words, const ReportData& data) {
   XmlElement estimator = methods.add("dcc:usedMethod");
   estimator.attribute("refType", "abc_estimator");
-  add_words(estimator, "dcc:name", words("Estimator: {}", data.estimator));
+  add_words(estimator, "dcc:name", words("Estimator: {estimator}", data.estimator));
   add_words(estimator, "dcc:description",
             data.estimator == kPublishedEstimator
                 ? words("The protocol as published: harmonic fits of each experiment. It was declared before "
@@ -248,9 +251,9 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
     add_words(effect, "dcc:name", words.as_given(words.known(key.words)));
     const auto source = sizes.sources.find(key.key);
     add_words(effect, "dcc:description",
-              source == sizes.sources.end()
-                  ? words("Standard uncertainty; a default that nobody stated")
-                  : words("Standard uncertainty; source: {}", source_words(words, source->second).text));
+              source == sizes.sources.end() ? words("Standard uncertainty; a default that nobody stated")
+                                            : words("Standard uncertainty; source: {source}",
+                                                    source_words(words, source->second).text));
     add_real(effect, key.get(sizes), unit_of_effect(key.unit), std::string(key.words));
   }
 }
@@ -348,7 +351,7 @@ void add_conditions(XmlElement& measurement, const Certificate& certificate,
   if (state.status.empty()) return;
   XmlElement condition = add_condition(conditions, "abc_itemState", words("State of the item"));
   condition.add("dcc:status", state.status);
-  add_text(condition, words("The item {}. Adjustment: {}", words.known(state.words),
+  add_text(condition, words("The item {state}. Adjustment: {adjustment}", words.known(state.words),
                             certificate.laboratory.job.adjustment));
 }
 
@@ -362,7 +365,7 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
   add("abc_rawDataHash", words("SHA-256 of the raw data"),
       data.sha256 ? words.as_given(*data.sha256) : words("none: the run is not closed"));
   add("abc_rawData", words("File of the raw data"), words.as_given(data.path.filename().string()));
-  add("abc_period", words("Measured, UTC"), words("{} to {}", data.started_utc(), data.ended_utc()));
+  add("abc_period", words("Measured, UTC"), words("{from} to {to}", data.started_utc(), data.ended_utc()));
   const CalibrationResult& result = data.result();
   add("abc_estimator", words("Estimator"), words.as_given(result.estimator));
   XmlElement verdict = add_metadatum(list, "abc_verdict", words("Verdict of the analysis"));

@@ -43,7 +43,7 @@ void add_response_at_rates(XmlElement& results, const Words& words, const Stated
   for (const RateResponse& response : stated.result.joint->motion->responses) {
     XmlElement list = data.add("dcc:list");
     list.attribute("refType", "abc_responseAtRate");
-    add_words(list, "dcc:name", words("Response at rate {}", ++number));
+    add_words(list, "dcc:name", words("Response at rate {rate}", ++number));
     add_turn(list, "abc_rate", words("Rate of the turn"), response.rate_deg_per_s, kDegreesPerSecond);
     add_turn(list, "abc_frequency", words("Frequency"), response.frequency_hz, "\\hertz");
     add_list(list, words, words("Amplitude relative to that at rest"),

@@ -42,7 +42,7 @@ void add_rows(XmlElement& data, const Words& words, const std::function<ValueLis
   XmlElement list = data.add("dcc:list");
   list.attribute("refType", "abc_matrix3x3");
   for (std::size_t j = 0; j < 3; ++j)
-    add_list(list, words, words("row of accelerometer {}", kOutputNames[j]), row(j));
+    add_list(list, words, words("row of accelerometer {accelerometer}", kOutputNames[j]), row(j));
 }
 
 std::vector<Quantity> as_vector(const Triple& triple) {
@@ -260,7 +260,8 @@ void add_further_outputs(XmlElement& results, const Words& words, const Calibrat
   for (const auto& [about, found] : further_outputs(result)) {
     std::vector<Quantity> values;
     for (const auto& [name, quantity] : found) values.push_back(quantity);
-    add_values(results, words, ref_type_of(about.key), words(about.heading), list_of(about.symbols, values));
+    add_values(results, words, ref_type_of(about.key), words.as_given(words.known(about.heading)),
+               list_of(about.symbols, values));
   }
 }
 
@@ -286,7 +287,7 @@ void add_decision(XmlElement& data, const Words& words, const StatedResult& resu
   add_value(quantity, decision.quantity, limit.quantity);
   XmlElement metadata = quantity.add("dcc:measurementMetaData");
   XmlElement conformity =
-      add_metadatum(metadata, "basic_conformity", words("Conformity of {}", limit.quantity));
+      add_metadatum(metadata, "basic_conformity", words("Conformity of {name}", limit.quantity));
   add_line(conformity, "dcc:reference", limit.source);
   conformity.add("dcc:conformity", to_string(decision.conformity));
   XmlElement facts = conformity.add("dcc:data");
@@ -343,7 +344,7 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
   if (!run.has_numbers()) {
     XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
-              words("No numbers are given, since the run gave none that may be used: {}",
+              words("No numbers are given, since the run gave none that may be used: {why}",
                     words.composed(run.data.result().why).text));
     return;
   }
@@ -357,12 +358,13 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
   for (const DerivedGroup& group : stated.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
     if (!group.name.starts_with("sensitivity [")) {
-      add_derived_group(results, words, stated, group, {ref_type_of(group.name), words(group.words)});
+      add_derived_group(results, words, stated, group,
+                        {ref_type_of(group.name), words.as_given(words.known(group.words))});
       continue;
     }
     const std::string& own = group.quantities.front().value.unit;
-    const Wording name = own.ends_with("/g_n") ? words("Sensitivity in {}, with standard gravity", own)
-                                               : words("Sensitivity in {}", own);
+    const Wording name = own.ends_with("/g_n") ? words("Sensitivity in {unit}, with standard gravity", own)
+                                               : words("Sensitivity in {unit}", own);
     add_derived_group(results, words, stated, group, {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
   }
   if (!run.decisions.empty()) {

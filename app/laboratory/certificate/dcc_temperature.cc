@@ -308,14 +308,15 @@ void add_evidence(XmlElement& measurement, const SeriesSource& from) {
     const TemperaturePoint& point = from.result.points[i];
     const auto& [ref_type, leg] = leg_of(words, point.leg);
     XmlElement metadatum = add_metadatum(
-        list, ref_type, words("Point {}, {}: run file, and SHA-256 of its raw data", point.number, leg.text));
+        list, ref_type,
+        words("Point {point}, {angle}: run file, and SHA-256 of its raw data", point.number, leg.text));
     add_words(metadatum, "dcc:description", words.as_given(points[i].path.filename().string()));
     add_text(metadatum,
              points[i].sha256 ? words.as_given(*points[i].sha256) : words("none: the run is not closed"));
   }
   const auto [begin, end] = period_of(runs);
   XmlElement period = add_metadatum(list, "abc_period", words("Measured, UTC"));
-  add_text(period, words("{} to {}", begin, end));
+  add_text(period, words("{from} to {to}", begin, end));
 }
 
 }  // namespace

@@ -38,7 +38,8 @@ Wording source_words(const Words& words, const std::string& source) {
   if (source == "default") return words("a default that nobody stated");
   if (source.empty()) return words("not stated");
   // The readers of bench files enter these where a size has no source.
-  if (source == "stated" || source == "tolerances") return words(source);
+  if (source == "stated") return words("stated");
+  if (source == "tolerances") return words("tolerances");
   return words.as_given(source);
 }
 
@@ -61,7 +62,7 @@ void add_software(XmlElement& list, const Words& words, std::string_view name, c
   add_name(software, "dcc:name", name);
   software.add("dcc:release", release_of(version));
   software.add("dcc:type", "application");
-  add_words(software, "dcc:description", words("version and commit: {}", one_line(version)));
+  add_words(software, "dcc:description", words("version and commit: {version}", one_line(version)));
 }
 
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,

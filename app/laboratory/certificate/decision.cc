@@ -98,7 +98,7 @@ Wording describe(const DecisionRule& rule, const Words& words) {
   // A value right at an acceptance limit, of which the limit that matters is r U = 2 r u away.
   const auto in_language = [&](std::string number) {
     if (const std::size_t point = number.find('.'); point != std::string::npos)
-      number.replace(point, 1, words.known("."));
+      number.replace(point, 1, words(".").text);
     return number;
   };
   const std::string worst =
@@ -112,19 +112,21 @@ Wording describe(const DecisionRule& rule, const Words& words) {
           "A value at a limit is accepted with a probability of up to 50 % that the true value is outside.");
     case DecisionKind::kGuardBand:
       return words(
-          "Binary decision with acceptance limits inside the tolerance limits by the guard band w = {} U; "
+          "Binary decision with acceptance limits inside the tolerance limits by the guard band w = "
+          "{guard_band} U; "
           "pass or "
-          "fail. An accepted value lies outside with a probability of at most {} %.",
+          "fail. An accepted value lies outside with a probability of at most {risk} %.",
           factor, worst);
     case DecisionKind::kNonBinary:
       return words(
-          "Non-binary decision with acceptance limits inside the tolerance limits by the guard band w = {} "
+          "Non-binary decision with acceptance limits inside the tolerance limits by the guard band w = "
+          "{guard_band} "
           "U: pass "
           "inside the acceptance limits, conditional pass between acceptance and tolerance limit, "
           "conditional fail "
           "up to w outside the tolerance limit, fail beyond. A value that passes lies outside with a "
           "probability "
-          "of at most {} %, one that passes conditionally of at most 50 %.",
+          "of at most {risk} %, one that passes conditionally of at most 50 %.",
           factor, worst);
     case DecisionKind::kTestUncertaintyRatio:
       break;

@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// A file of app/laboratory/certificate/languages, built into the program.
+/// The table of a file of app/laboratory/certificate/languages, built into the program.
 struct LanguageFile {
   std::string_view path;  ///< Code of the language: "de".
   std::string_view body;  ///< JSON: each English sentence with its translation.

@@ -91,10 +91,11 @@ Statement identity_statement(const Words& words, const ReportData& data) {
   statement.text.language = words.language();
   const ItemIdentityParts parts = identity_of(data);
   if (const std::string read = names_of(words, parts, KnownBy::kRead); !read.empty())
-    statement.text.text = words("Read from the instrument: {}.", read).text;
+    statement.text.text = words("Read from the instrument: {facts}.", read).text;
   if (const std::string stated = names_of(words, parts, KnownBy::kStated); !stated.empty())
-    statement.text.text += (statement.text.text.empty() ? "" : " ") +
-                           words("Stated by the laboratory, not read from an instrument: {}.", stated).text;
+    statement.text.text +=
+        (statement.text.text.empty() ? "" : " ") +
+        words("Stated by the laboratory, not read from an instrument: {facts}.", stated).text;
   return statement;
 }
 
@@ -123,7 +124,7 @@ void add_customer_equation(XmlElement& results, const Words& words, const Custom
       values.push_back(equation.M[3 * row + column].value);
     }
     const auto first = static_cast<Eigen::Index>(3 * row);
-    add_list(list, words, words("row of axis {}", kPlatterAxes.at(row)),
+    add_list(list, words, words("row of axis {axis}", kPlatterAxes.at(row)),
              list_of(labels, values, equation.covariance.block(first, first, 3, 3)));
   }
 }
@@ -139,9 +140,11 @@ void add_item_quantities(XmlElement& item, const Words& words, const ReportData&
     add_words(quantity, "dcc:name", name);
     quantity.add("dcc:noQuantity").add("dcc:content", text);
   };
-  for (const ItemFact& fact : kItemSettings) add("abc_setting", words(fact.words), data.label(fact.label));
+  for (const ItemFact& fact : kItemSettings)
+    add("abc_setting", words.as_given(words.known(fact.words)), data.label(fact.label));
   add("abc_axes", words("u, v, w along"), data.record.expected.mounting);
-  for (const ItemFact& fact : kItemMounting) add(kMountingRefType, words(fact.words), data.label(fact.label));
+  for (const ItemFact& fact : kItemMounting)
+    add(kMountingRefType, words.as_given(words.known(fact.words)), data.label(fact.label));
 }
 
 Section equation_section(const PageSource& from, xmlNode* measurement) {

@@ -250,7 +250,7 @@ std::string degrees_of(const PageSource& from, xmlNode* line, const std::vector<
     if (most.empty() || value > number_in_xml(most)) most = found->second;
   }
   if (least.empty()) return "∞";
-  return least == most ? least : from.words("{} to {}", least, most).text;
+  return least == most ? least : from.words("{from} to {to}", least, most).text;
 }
 
 /// The sources of a budget, each with its inputs.

@@ -26,7 +26,7 @@ struct PageSource {
     return typeset_numbers(content(path, from));
   }
   /// "2026-03-01 12:00:00", both if they differ.
-  std::string say(std::string_view english) const { return words(english).text; }
+  std::string say(Term sentence) const { return words(sentence).text; }
 };
 
 /// One value of a list or alone, as the XML has it or typeset.

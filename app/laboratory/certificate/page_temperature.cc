@@ -199,7 +199,7 @@ Paragraph range_words(const PageSource& from, xmlNode* series) {
   const auto degc = [&](const char* ref_type) {
     return typeset_number(celsius_of(from, series_quantity(from, range, ref_type)), from.words);
   };
-  return {from.words("{} points from {} to {} °C, T0 = {} °C.",
+  return {from.words("{points} points from {from} to {to} °C, T0 = {reference} °C.",
                      from.text("si:real/si:value", series_quantity(from, range, "abc_points")),
                      degc("abc_lowestTemperature"), degc("abc_highestTemperature"),
                      degc("abc_referenceTemperature"))

@@ -36,15 +36,16 @@ Statement traceability(const Certificate& certificate) {
   Wording text = words("The results are traceable to the International System of Units (SI):");
   for (const Equipment& one : certificate.laboratory.equipment) {
     if (one.quantity == "other") continue;
-    text.text += " " + words("{} by {} {}, certificate {} of {};", words.known(one.quantity), one.name,
-                             one.serial_number, one.certificate, one.certificate_issuer)
+    text.text += " " + words("{quantity} by {name} {serial_number}, certificate {certificate} of {issuer};",
+                             words.known(one.quantity), one.name, one.serial_number, one.certificate,
+                             one.certificate_issuer)
                            .text;
   }
   const std::string& stated = certificate.run.data.result().g_loc_source;
   const std::string source = stated.empty() ? words("a source that is not stated").text : stated;
   const std::string& site = certificate.laboratory.laboratory.gravity_site;
-  text.text += " " + (site.empty() ? words("local gravity by {}.", source)
-                                   : words("local gravity by {}, at {}.", source, site))
+  text.text += " " + (site.empty() ? words("local gravity by {source}.", source)
+                                   : words("local gravity by {source}, at {place}.", source, site))
                          .text;
   if (is_serial_number_stated(certificate.run.data, "stage"))
     text.text +=
@@ -66,15 +67,17 @@ void add_monte_carlo(std::vector<Statement>& statements, const Words& words, con
                      const Wording& title) {
   if (!run.monte_carlo) return;
   const CertifiedUncertainty& made = *run.monte_carlo;
-  Statement statement = plain(
-      "abc_monteCarlo", title,
-      made.any_larger()
-          ? words("{} trials of the whole evaluation (seed {}) gave an expanded uncertainty of {} that is "
-                  "larger than the evaluated one; that of the trials and its covariance are stated.",
-                  made.trials, made.seed, made.larger())
-          : words("{} trials of the whole evaluation (seed {}) gave no larger expanded uncertainty; the "
-                  "evaluated one is stated.",
-                  made.trials, made.seed));
+  Statement statement =
+      plain("abc_monteCarlo", title,
+            made.any_larger()
+                ? words("{trials} trials of the whole evaluation (seed {seed}) gave an expanded uncertainty "
+                        "of {quantities} that is "
+                        "larger than the evaluated one; that of the trials and its covariance are stated.",
+                        made.trials, made.seed, made.larger())
+                : words("{trials} trials of the whole evaluation (seed {seed}) gave no larger expanded "
+                        "uncertainty; the "
+                        "evaluated one is stated.",
+                        made.trials, made.seed));
   statement.norms = {"JCGM 101:2008"};
   statements.push_back(statement);
 }
@@ -100,7 +103,7 @@ void add_uncertainty(std::vector<Statement>& statements, const Certificate& cert
   for (const std::string& source : data.budget->not_covered)
     left_out += (left_out.empty() ? "" : "; ") + words.known(source);
   statements.push_back(plain("abc_notCovered", words("What the uncertainties leave out"),
-                             words("Not part of the stated uncertainties: {}.", left_out)));
+                             words("Not part of the stated uncertainties: {effects}.", left_out)));
 }
 
 /// Every unit of the certificate that is not of the SI, and every output that is a count.
@@ -121,15 +124,15 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
   for (const std::string& unit : units) {
     const UnitInDsi in = unit_in_dsi(unit, certificate.run.data.result().g_loc.value);
     if (in.own && said.insert(in.own->text()).second && !in.definition.empty()) {
-      Statement statement = plain("abc_unit", words("Unit {}", unit),
-                                  words("Definition: {}", words.composed(in.definition).text));
+      Statement statement = plain("abc_unit", words("Unit {unit}", unit),
+                                  words("Definition: {definition}", words.composed(in.definition).text));
       statement.non_si_definition = words.composed(in.definition).text;
       statement.non_si_unit = in.own->text();
       statements.push_back(statement);
     }
     if (!in.note.empty() && said.insert(in.note).second)
       statements.push_back(plain("abc_outputUnit", words("Unit of the output"),
-                                 words("1 stands for one digit of the output ({}).", unit)));
+                                 words("1 stands for one digit of the output ({unit}).", unit)));
   }
 }
 
@@ -150,7 +153,7 @@ void add_optional(std::vector<Statement>& statements, const Certificate& certifi
     statements.push_back(plain(
         "abc_customerSupplied", words("Data supplied by the customer"),
         words("Supplied by the customer and not checked by the laboratory, which is not responsible for what "
-              "follows from them: {}.",
+              "follows from them: {data}.",
               fmt::format("{}", fmt::join(job.customer_supplied, ", ")))));
   }
   if (job.recalibration) {
@@ -169,11 +172,11 @@ void add_decision_rule(std::vector<Statement>& statements, const Certificate& ce
   if (!rule || certificate.laboratory.limits.empty()) return;
   Statement statement = plain("abc_decisionRule", words("Decision rule"), describe(*rule, words));
   statement.norms = {"JCGM 106:2012"};
-  statement.references = {words("Agreed in {}", rule->agreement).text};
+  statement.references = {words("Agreed in {agreement}", rule->agreement).text};
   std::set<std::string> specifications;
   for (const SpecificationLimit& limit : certificate.laboratory.limits)
     if (specifications.insert(limit.source).second)
-      statement.references.push_back(words("Specification {}", limit.source).text);
+      statement.references.push_back(words("Specification {source}", limit.source).text);
   statements.push_back(statement);
 }
 
@@ -188,25 +191,28 @@ void add_items_together(std::vector<Statement>& statements, const Certificate& c
   statements.push_back(plain(
       "abc_itemsTogether", words("Items measured together"),
       together
-          ? words("Item {} of {} that were measured together on one stage. The errors of the stage were "
-                  "estimated once, from the readings of {} items; the sensitivity matrix and the offsets "
+          ? words("Item {item} of {items} that were measured together on one stage. The errors of the stage "
+                  "were "
+                  "estimated once, from the readings of {all} items; the sensitivity matrix and the offsets "
                   "are those of this item.",
                   data.item, items.size(), data.all->joint.stage->items)
-          : words("Item {} of {} that were measured together on one stage. Its results are from its own "
+          : words("Item {item} of {items} that were measured together on one stage. Its results are from its "
+                  "own "
                   "readings alone.",
                   data.item, items.size())));
 }
 
 /// Says which certificate an amendment replaces, why, and every statement that it changes.
 Statement amendment(const Words& words, const Replacement& replaced) {
-  Wording text = words("Replaces certificate {}. Reason: {}.", replaced.number, replaced.reason);
+  Wording text = words("Replaces certificate {number}. Reason: {reason}.", replaced.number, replaced.reason);
   text.text += " " + (replaced.kind == AmendmentKind::kAdministrative
                           ? words("Administrative amendment: results and item are unchanged.")
                           : words("Technical amendment."))
                          .text;
-  text.text += " " + (replaced.changed.empty() ? words("No statement was changed.")
-                                               : words("Changed statements: {}.", replaced.changed.size()))
-                         .text;
+  text.text +=
+      " " + (replaced.changed.empty() ? words("No statement was changed.")
+                                      : words("Changed statements: {changes}.", replaced.changed.size()))
+                .text;
   Statement statement = plain("abc_amendment", words("Amendment"), text);
   for (const ChangedStatement& one : replaced.changed) statement.references.push_back(one.words());
   return statement;
@@ -231,14 +237,14 @@ void add_warnings(std::vector<Statement>& statements, const Certificate& certifi
     std::string of;
     for (const std::string& instrument : data.simulated)
       of += (of.empty() ? "" : ", ") + words.known(instrument);
-    statements.push_back(
-        plain("abc_simulated", words("SIMULATED"),
-              words("SIMULATED: these instruments were not real: {}. Nothing was calibrated.", of)));
+    statements.push_back(plain(
+        "abc_simulated", words("SIMULATED"),
+        words("SIMULATED: these instruments were not real: {instruments}. Nothing was calibrated.", of)));
   }
   if (const std::string of = data.label("replay.of"); !of.empty())
     statements.push_back(
         plain("abc_replayed", words("REPLAYED"),
-              words("REPLAYED: repeated from the recording in {}, not measured again.", of)));
+              words("REPLAYED: repeated from the recording in {source}, not measured again.", of)));
 }
 
 }  // namespace
@@ -268,15 +274,16 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
   }
   if (certificate.issue && !certificate.issue->witnessing.by.empty()) {
     const RunWitnessing& witnessing = certificate.issue->witnessing;
-    statements.push_back(plain(
-        "abc_witness", words("Witness"),
-        words("Each of the {} angles of the run was signed by the witness with the key of {} when it was "
-              "measured.",
-              witnessing.angles, witnessing.by)));
-  } else if (certificate.issue && !certificate.issue->witnessing.statement.empty()) {
     statements.push_back(plain("abc_witness", words("Witness"),
-                               words("The run was not witnessed. Statement of the person who approved: {}",
-                                     certificate.issue->witnessing.statement)));
+                               words("Each of the {angles} angles of the run was signed by the witness with "
+                                     "the key of {key} when it was "
+                                     "measured.",
+                                     witnessing.angles, witnessing.by)));
+  } else if (certificate.issue && !certificate.issue->witnessing.statement.empty()) {
+    statements.push_back(
+        plain("abc_witness", words("Witness"),
+              words("The run was not witnessed. Statement of the person who approved: {statement}",
+                    certificate.issue->witnessing.statement)));
   }
   if (certificate.issue && certificate.issue->entry) {
     Statement entry = plain(

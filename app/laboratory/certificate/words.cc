@@ -1,6 +1,5 @@
 #include "app/laboratory/certificate/words.h"
 
-#include <fmt/args.h>
 #include <fmt/ranges.h>
 
 #include <algorithm>
@@ -32,14 +31,9 @@ const std::map<std::string, Table>& tables() {
   return kTables;
 }
 
-std::size_t placeholders(std::string_view sentence) {
-  std::size_t count = 0;
-  for (std::size_t at = 0; (at = sentence.find('{', at)) != std::string_view::npos; ++at) ++count;
-  return count;
-}
-
 /// A sentence of a table with places for values, as the pieces between them.
 struct Template {
+  std::vector<std::string_view> names;
   std::vector<std::string_view> between;  ///< Their number is that of the values plus one.
   std::size_t letters = 0;
   std::string_view translation;
@@ -56,9 +50,11 @@ bool is_telling(const Template& made) {
 Template template_of(std::string_view english, std::string_view translation) {
   Template made;
   made.translation = translation;
-  for (std::size_t at = english.find("{}"); at != std::string_view::npos; at = english.find("{}")) {
-    made.between.push_back(english.substr(0, at));
-    english.remove_prefix(at + 2);
+  for (auto place = message_detail::next_place(english, 0); place.begin != std::string_view::npos;
+       place = message_detail::next_place(english, 0)) {
+    made.names.push_back(place.name);
+    made.between.push_back(english.substr(0, place.begin));
+    english.remove_prefix(place.end);
   }
   made.between.push_back(english);
   for (const std::string_view part : made.between)
@@ -192,10 +188,11 @@ struct Translator {
     for (const Template& made : templates) {
       const auto values = values_in(english, made);
       if (!values || holds_sentences(*values, made)) continue;
-      fmt::dynamic_format_arg_store<fmt::format_context> arguments;
       // Values are names and numbers, or sentences in their turn.
-      for (const std::string_view value : *values) arguments.push_back(text(value).text);
-      return fmt::vformat(made.translation, arguments);
+      std::vector<NamedValue> named;
+      for (std::size_t i = 0; i < values->size(); ++i)
+        named.push_back({std::string(made.names[i]), Stated{text((*values)[i]).text}});
+      return Message::stored(std::string(made.translation), std::move(named), {}).english();
     }
     if (!is_wordless(english)) return std::nullopt;
     return with_decimal_mark(english, decimal_mark);
@@ -239,6 +236,15 @@ std::string Words::known(std::string_view english) const {
   return found == table_->end() ? std::string(english) : found->second;
 }
 
+Wording Words::operator()(const Message& message) const {
+  if (table_ == nullptr) return {message.english(), language_};
+  Rendered made = message.rendered([this](std::string_view english) -> std::optional<std::string_view> {
+    const auto found = table_->find(std::string(english));
+    return found == table_->end() ? std::nullopt : std::optional<std::string_view>(found->second);
+  });
+  return {std::move(made.text), made.complete ? language_ : std::string()};
+}
+
 Wording Words::composed(std::string_view english) const {
   if (table_ == nullptr) return {std::string(english), language_};
   Translation made = translated(english);
@@ -264,8 +270,7 @@ std::vector<std::string> missing_in_language(const std::string& language,
   const Table& table = tables().at(language);
   for (const std::string& sentence : sentences) {
     const auto found = table.find(sentence);
-    if (found == table.end() || placeholders(found->second) != placeholders(sentence))
-      missing.push_back(sentence);
+    if (found == table.end()) missing.push_back(sentence);
   }
   return missing;
 }

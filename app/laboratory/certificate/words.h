@@ -1,11 +1,12 @@
 #pragma once
 
-#include <fmt/format.h>
-
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <unordered_map>
 #include <vector>
+
+#include "protocol/messages/message.h"
 
 namespace abcal {
 
@@ -16,7 +17,7 @@ struct Wording {
 };
 
 /// The program's own sentences in the language of a certificate. The code has them in English; a further
-/// language is one file, app/laboratory/certificate/languages/CODE.json, with all of them.
+/// language is one file, app/laboratory/certificate/languages/CODE.po, with all of them.
 class Words {
  public:
   /// @throws std::invalid_argument  for a language without a file, listing the available ones
@@ -24,12 +25,13 @@ class Words {
 
   const std::string& language() const { return language_; }
 
-  /// A sentence of the program, with values for its {}.
+  /// A sentence of the program, a literal, with its values. A text that is not a literal does not compile.
   template <class... Values>
-  Wording operator()(std::string_view english, const Values&... values) const {
-    if constexpr (sizeof...(values) == 0) return {known(english), language_};
-    return {fmt::format(fmt::runtime(known(english)), values...), language_};
+  Wording operator()(Sentence<std::type_identity_t<Values>...> sentence, const Values&... values) const {
+    return (*this)(Message(sentence, values...));
   }
+  /// A message; in no language if the language's file lacks a sentence of it.
+  Wording operator()(const Message& message) const;
   /// A text of the laboratory, which writes in the language of its certificate.
   Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
   /// A text that another part of the program composed in English: a verdict, a note, a problem. Sentences of
@@ -56,7 +58,7 @@ class Words {
   const std::unordered_map<std::string, std::string>* table_ = nullptr;  ///< Null: English.
 };
 
-/// Sentences that a language's file lacks, or has with another number of {}.
+/// Sentences that a language's file lacks.
 std::vector<std::string> missing_in_language(const std::string& language,
                                              const std::vector<std::string>& sentences);
 

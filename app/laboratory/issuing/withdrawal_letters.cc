@@ -73,11 +73,11 @@ Document letter_to(const lab::Addressee& to, const std::vector<lab::AffectedCert
   const auto& [laboratory, date] = laboratory_and_date;
   Document document;
   document.language = words.language();
-  document.page_words = words.known("page {} of {}");
+  document.page_words = words("page {page} of {pages}", Stated{"{}"}, Stated{"{}"}).text;
   document.title = words("Notice of withdrawal").text;
   document.subtitle = withdrawn.front().name;
   document.identification = laboratory + " · " + to.name;
-  document.origin = words("draft of {}", date).text;
+  document.origin = words("draft of {date}", date).text;
   document.page_mark = words("DRAFT").text;
   document.cautions = {words("DRAFT of a letter. Nothing was sent.").text};
   SideBySide parties;
