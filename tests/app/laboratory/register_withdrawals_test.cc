@@ -34,7 +34,7 @@ class RegisterWithdrawalsTest : public OnDatabase {
       made.add_calibration(admin, {number, stage, "Institute", "2026-01-10", "2027-01-10", "", {}}, at(4));
     return made;
   }
-  static RunRecord run_on(const std::string& name, const std::string& stage_number) {
+  static RegisteredRun run_on(const std::string& name, const std::string& stage_number) {
     return {sha256_of(name),
             "/runs/" + name,
             kItem,
@@ -42,7 +42,7 @@ class RegisterWithdrawalsTest : public OnDatabase {
             {{kCalibrationKind, "EX-ANGLE-" + stage_number, stage_number == "1" ? "118001234" : "118009999",
               "angle of the stage"}}};
   }
-  static NumberRequest request_for(const RunRecord& run) {
+  static NumberRequest request_for(const RegisteredRun& run) {
     NumberRequest request{run.run_sha256, kItem, "Operator N. N.", {}, {}};
     request.runs = {run};
     return request;
@@ -163,7 +163,7 @@ TEST_P(RegisterWithdrawalsTest, ARecordOfAnyKindIsWithdrawnOnceARunNamesIt) {
   const LoggedIn admin = login(made, "Admin N. N.");
   EXPECT_THAT(refusal([&] { made.withdraw(admin, "stage record", "SR-7", "why", at(5)); }),
               HasSubstr("one of the kinds certificate, calibration"));
-  RunRecord run = run_on("a", "1");
+  RegisteredRun run = run_on("a", "1");
   run.sources.push_back({"stage record", "SR-7", "118001234", "step errors"});
   const std::string number = issue(made, request_for(run));
   made.withdraw(admin, "stage record", "SR-7", "measured warm", at(20));
