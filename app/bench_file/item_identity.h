@@ -6,13 +6,14 @@
 #include <vector>
 
 #include "app/bench_file/bench_config.h"
+#include "protocol/messages/message.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
 
 /// A fact of an item: its name in words, and its label in a run.
 struct ItemFact {
-  const char* words;
+  Term words;
   std::string label;
 };
 

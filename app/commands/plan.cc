@@ -56,12 +56,12 @@ ShownPlan make_shown_plan(const BenchConfig& config) {
 }
 
 /// Notes on the plan for the operator, each one sentence without its full stop.
-std::vector<std::string> plan_notes(const ShownPlan& plan, const BenchConfig& config) {
+std::vector<Message> plan_notes(const ShownPlan& plan, const BenchConfig& config) {
   const Tolerances& tolerances = config.items.front().tolerances;
-  std::vector<std::string> notes = uncovered_effects_words(tolerances, Advice::kForOperator);
+  std::vector<Message> notes = uncovered_effects_words(tolerances, Advice::kForOperator);
   notes.insert(notes.begin(), default_effects_words(tolerances, Advice::kForOperator));
   if (backlash_is_left(config.protocol, plan.angles)) notes.push_back(backlash_words(tolerances.zero));
-  std::erase(notes, std::string());
+  std::erase(notes, Message());
   return notes;
 }
 
@@ -198,14 +198,14 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config, const std::str
     print_result("        No travel is given: -360 to 360 deg is assumed; `run` asks the stage.\n");
   const Tolerances& tolerances = config.items.front().tolerances;
   const std::string full = fmt::format("abcal plan {} --full", bench_file);
-  const std::string defaults = default_effects_words(tolerances, Advice::kForOperator);
-  for (const std::string& note : plan_notes(plan, config)) {
+  const Message defaults = default_effects_words(tolerances, Advice::kForOperator);
+  for (const Message& note : plan_notes(plan, config)) {
     // The cost of each default is known after the run; here their number is enough.
     const bool of_defaults = note == defaults;
     const std::string words =
         of_defaults ? fmt::format("{} sizes of effects are defaults that nobody stated (docs/effects.md)",
                                   unstated_effects(tolerances).size())
-                    : note;
+                    : note.english();
     print_result("{}", wrapped(words, "Note:   ", kIndent, kTerminalColumns));
     if (of_defaults) print_result("{}-> {}\n", kIndent, full);
   }
@@ -215,7 +215,7 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config, const std::str
 /// All that the first screen leaves out: the notes as they are, the sources of values, every angle.
 void print_rest(const ShownPlan& plan, const BenchConfig& config) {
   print_result("\n");
-  for (const std::string& note : plan_notes(plan, config)) print_result("Note: {}.\n", note);
+  for (const Message& note : plan_notes(plan, config)) print_result("Note: {}.\n", note);
   print_sources(config);
   print_angles(plan.angles);
 }

@@ -64,27 +64,35 @@ UnitInDsi per_kelvin(const std::string& unit, const std::string& output) {
   in.unit = in.unit * per_kelvin;
   if (!in.own) return in;
   in.own = *in.own * per_kelvin;
-  in.definition = fmt::format("1 {} = {} in the SI unit {}", unit, in.factor, in.unit.text());
+  in.definition = Message("1 {unit} = {value} in the SI unit {si_unit}", unit, in.factor, in.unit.text());
   return in;
 }
 
-/// Per standard gravity, or per local gravity where its value is given. @param which  of standard gravity, in
-/// words
+/// Per standard gravity, or per local gravity where its value is given.
 UnitInDsi per_gravity(const std::string& unit, const std::string& output, double gravity_mps2,
-                      const std::string& which) {
+                      bool standard) {
   UnitInDsi in = unit_in_dsi(output);
   in.unit = in.unit * per_acceleration();
   in.factor /= gravity_mps2;
   in.own = DsiUnit(non_si(unit));
-  in.definition = which.empty() ? fmt::format(
-                                      "1 {} is a change of the output by 1 {} for an acceleration of one "
-                                      "local gravity, which is among the conditions",
-                                      unit, output)
-                  : in.unit.text() == "\\one"
-                      ? fmt::format("1 {} = {}, a plain number in SI units ({})", unit, in.factor, which)
-                      : fmt::format("1 {} = {} {} ({})", unit, 1.0 / gravity_mps2,
-                                    TypedUnit{output, PerAcceleration::kSi}.name(), which);
+  in.definition =
+      !standard ? Message(
+                      "1 {unit} is a change of the output by 1 {output_unit} for an acceleration of one "
+                      "local gravity, which is among the conditions",
+                      unit, output)
+      : in.unit.text() == "\\one"
+          ? Message(
+                "1 {unit} = {value}, a plain number in SI units (g_n = 9.80665 m/s2, standard gravity, "
+                "exact)",
+                unit, in.factor)
+          : Message("1 {unit} = {value} {in_unit} (g_n = 9.80665 m/s2, standard gravity, exact)", unit,
+                    1.0 / gravity_mps2, TypedUnit{output, PerAcceleration::kSi}.name());
   return in;
+}
+
+Message definition_of(const std::string& unit, const Number& value, const std::string& si) {
+  if (si == "\\one") return {"1 {unit} = {value}, a plain number in SI units", unit, value};
+  return {"1 {unit} = {value} in the SI unit {si_unit}", unit, value, si};
 }
 
 /// Units of the inverse of a sensitivity: "(m/s2)/V".
@@ -96,9 +104,7 @@ UnitInDsi acceleration_per(const std::string& unit, const std::string& output) {
   if (!of_output.own) return in;
   in.factor = 1.0 / of_output.factor;
   in.own = DsiUnit(non_si(unit));
-  const std::string si = in.unit.text();
-  in.definition = fmt::format("1 {} = {:.12g}{}", unit, in.factor,
-                              si == "\\one" ? ", a plain number in SI units" : " in the SI unit " + si);
+  in.definition = definition_of(unit, Number{fmt::format("{:.12g}", in.factor)}, in.unit.text());
   return in;
 }
 
@@ -114,7 +120,8 @@ UnitInDsi from_table(const PrefixedUnit& found, const std::string& name) {
     in.factor = found.prefix_factor() * unit.factor;
     if (in.factor == 1.0) return in;
     in.own = DsiUnit(non_si(name));
-    in.definition = fmt::format("1 {} = {} m/s2 (standard gravity 9.80665 m/s2, exact)", name, in.factor);
+    in.definition =
+        Message("1 {unit} = {value} m/s2 (standard gravity 9.80665 m/s2, exact)", name, in.factor);
   }
   return in;
 }
@@ -168,18 +175,15 @@ UnitInDsi unit_in_dsi(const std::string& unit, std::optional<double> g_loc_mps2)
   }
   if (typed.per == PerAcceleration::kLocal) {
     if (!g_loc_mps2) return unit_in_dsi(typed.output);
-    return per_gravity(unit, typed.output, *g_loc_mps2, "");
+    return per_gravity(unit, typed.output, *g_loc_mps2, false);
   }
-  if (typed.per == PerAcceleration::kStandard)
-    return per_gravity(unit, typed.output, kStandardGravity, "g_n = 9.80665 m/s2, standard gravity, exact");
+  if (typed.per == PerAcceleration::kStandard) return per_gravity(unit, typed.output, kStandardGravity, true);
   if (typed.per == PerAcceleration::kSi) {
     in = unit_in_dsi(typed.output);
     in.unit = in.unit * per_acceleration();
     if (in.own) {
       in.own = *in.own * per_acceleration();
-      const std::string si = in.unit.text();
-      in.definition = fmt::format("1 {} = {}{}", unit, in.factor,
-                                  si == "\\one" ? ", a plain number in SI units" : " in the SI unit " + si);
+      in.definition = definition_of(unit, Number{fmt::format("{}", in.factor)}, in.unit.text());
     }
     return in;
   }

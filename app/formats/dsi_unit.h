@@ -5,6 +5,7 @@
 #include <string_view>
 #include <utility>
 #include <vector>
+#include "protocol/messages/message.h"
 
 #include "protocol/plan/response_unit.h"
 
@@ -30,8 +31,8 @@ struct UnitInDsi {
   double factor = 1.0;  ///< Value in `unit` for 1 of ours; exactly 1 if D-SI has our unit.
   /// Our unit, if D-SI does not have it: then both are given.
   std::optional<DsiUnit> own;
-  std::string definition;  ///< Definition of our own unit, in words.
-  std::string note;        ///< Meaning of the value 1, if the output has no physical unit.
+  Message definition;  ///< Definition of our own unit, in words.
+  std::string note;    ///< Meaning of the value 1, if the output has no physical unit.
 };
 
 /// "V", "g", "LSB", "degree", "%", "mrad"; "V/(m/s2)", "mV/g_n" (standard gravity); "(m/s2)/V"; "urad/K",

@@ -174,7 +174,10 @@ std::map<std::string, double> Record::effects() const {
 }
 
 std::vector<std::string> Record::default_effects() const {
-  return ::abcal::unstated_effects(data_->record.tolerances);
+  std::vector<std::string> words;
+  for (const ::abcal::Term& effect : ::abcal::unstated_effects(data_->record.tolerances))
+    words.emplace_back(effect);
+  return words;
 }
 
 Record load(const std::filesystem::path& path) {

@@ -146,7 +146,8 @@ std::string Result::response_unit() const {
   return data_->result.response_unit;
 }
 std::vector<std::string> Result::notes() const {
-  return data_->result.diagnostics.notes;
+  const std::vector<::abcal::Message>& notes = data_->result.diagnostics.notes;
+  return {notes.begin(), notes.end()};
 }
 const Values& Result::sensitivity_matrix() const {
   return values_of(data_->quantities, "sensitivity_matrix");

@@ -111,8 +111,26 @@ Rendered Message::rendered(const Catalogue& catalogue) const {
   return {std::move(text), renderer.complete};
 }
 
-Message joined(std::vector<Message> messages, std::string separator) {
+Message in_sequence(std::vector<Message> messages, std::string separator) {
+  if (messages.empty()) return {};
+  if (messages.size() == 1) return messages.front();
   return {"{all}", Joined{std::move(messages), std::move(separator)}};
+}
+
+Message word_of(std::span<const Term> vocabulary, std::string_view text) {
+  for (const Term& term : vocabulary)
+    if (term.english() == text) return term;
+  return {"{text}", text};
+}
+
+bool contains(const Message& whole, const Message& part) {
+  if (whole == part) return true;
+  const auto in = [&](const Message& message) { return contains(message, part); };
+  return std::ranges::any_of(whole.values(), [&](const NamedValue& named) {
+    if (const auto* message = std::get_if<Message>(&named.value)) return in(*message);
+    const auto* list = std::get_if<Joined>(&named.value);
+    return list != nullptr && std::ranges::any_of(list->messages, in);
+  });
 }
 
 }  // namespace abcal

@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <functional>
+#include <iosfwd>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <type_traits>
@@ -81,8 +83,12 @@ class Sentence {
       message_detail::a_sentence_needs_a_value_for_each_named_place();
   }
   constexpr std::string_view english() const { return english_; }
+  constexpr bool empty() const { return english_.empty(); }
   // NOLINTNEXTLINE(google-explicit-constructor): English is what the code and its logs are written in.
   constexpr operator std::string_view() const { return english_; }
+  friend constexpr bool operator==(const Sentence& a, std::string_view english) {
+    return a.english_ == english;
+  }
 
  private:
   std::string_view english_;
@@ -134,6 +140,12 @@ class Message {
     return a.id_ == b.id_ && a.english() == b.english();
   }
   friend bool operator==(const Message& a, std::string_view english) { return a.english() == english; }
+  friend std::string operator+(const std::string& text, const Message& more) { return text + more.english(); }
+  template <class Traits>
+  friend std::basic_ostream<char, Traits>& operator<<(std::basic_ostream<char, Traits>& stream,
+                                                      const Message& message) {
+    return stream << message.english();
+  }
 
  private:
   void add(std::string_view english, std::vector<NamedValue> values);
@@ -154,8 +166,15 @@ struct NamedValue {
   std::variant<Stated, Number, Message, Joined> value;
 };
 
-/// Messages one after the other, as one message.
-Message joined(std::vector<Message> messages, std::string separator = "; ");
+/// Messages one after the other, as one message; that of a single one is itself.
+Message in_sequence(std::vector<Message> messages, std::string separator = "; ");
+
+/// A word that comes as text, e.g. from a file: one of the vocabulary is a message; any other text is the
+/// same in every language.
+Message word_of(std::span<const Term> vocabulary, std::string_view text);
+
+/// Whether a message is another one or has it among its values.
+bool contains(const Message& whole, const Message& part);
 
 namespace message_detail {
 

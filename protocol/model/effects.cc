@@ -358,6 +358,15 @@ bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, b
   return effect.prior(sizes) > 0.0;
 }
 
+Message effect_words(std::string_view effect) {
+  for (const StageEffect& one : kStageEffects)
+    if (one.name == effect) return one.name;
+  for (const ItemEffect& one : kItemEffects)
+    if (one.name == effect) return one.name;
+  static constexpr std::array<Term, 1> kOthers{"effects of the other items"};
+  return word_of(kOthers, effect);
+}
+
 std::string unknown_name(const StageEffect& effect, int index) {
   const std::string which = effect.unknown_name(index);
   return std::string(effect.name) + (which.empty() ? "" : ", ") + which;

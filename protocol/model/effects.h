@@ -7,6 +7,7 @@
 #include <string>
 #include <string_view>
 
+#include "protocol/messages/message.h"
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/effect_sizes.h"
 
@@ -27,8 +28,8 @@ struct StageShare {
 
 /// An effect of the stage: `count` unknowns, shared by all outputs.
 struct StageEffect {
-  std::string_view name;  ///< "wobble of X"
-  std::string_view key;   ///< Key of its size in [stage_uncertainty].
+  Term name;             ///< "wobble of X"
+  std::string_view key;  ///< Key of its size in [stage_uncertainty].
   int count = 0;
   std::string_view unit;  ///< "1", "radian"
   /// Standard deviation of each unknown.
@@ -39,6 +40,9 @@ struct StageEffect {
   int face = 1;            ///< 2: only a run of two faces has this effect.
   bool in_motion = false;  ///< Only a run at a constant rate has this effect.
 };
+
+/// The name of an effect as a message; that of another one is the same in every language.
+Message effect_words(std::string_view effect);
 
 /// "wobble of X, cos 1/rev, direction 2": the name of an unknown of the stage.
 std::string unknown_name(const StageEffect& effect, int index);
@@ -93,8 +97,8 @@ enum class ItemEffectKind {
 
 /// An effect of the item: `count` unknowns for each output.
 struct ItemEffect {
-  std::string_view name;  ///< "drift"
-  std::string_view key;   ///< Key of its size in [item_uncertainty].
+  Term name;             ///< "drift"
+  std::string_view key;  ///< Key of its size in [item_uncertainty].
   ItemEffectKind kind = ItemEffectKind::kOther;
   int count = 0;
   double (*prior)(const EffectSizes&) = nullptr;

@@ -23,12 +23,12 @@ bool backlash_is_left(const ProtocolConfig& protocol, const std::vector<PlannedA
   return turns_both_ways(poses);
 }
 
-std::string backlash_words(Angle zero) {
-  return fmt::format(
+Message backlash_words(Angle zero) {
+  return {
       "angles are approached from either side (approach_deg = 0), so that backlash of the axes is not taken "
-      "out; required: backlash within zero_deg ({:g} degree), or off-diagonal elements are wrong by more "
+      "out; required: backlash within zero_deg ({zero:g} degree), or off-diagonal elements are wrong by more "
       "than is stated",
-      zero.deg());
+      zero.deg()};
 }
 
 }  // namespace abcal

@@ -7,14 +7,14 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "protocol/messages/message.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {
 
 /// Entry in the list of sources that an uncertainty budget does not cover, where backlash_is_left().
-inline constexpr std::string_view kBacklashNotCovered =
-    "backlash of the axes beyond zero_deg (approach_deg = 0)";
+inline constexpr Term kBacklashNotCovered{"backlash of the axes beyond zero_deg (approach_deg = 0)"};
 
 /// Whether an axis turns both up and down on the way through some poses.
 /// @param poses  commanded angles of X and Z, in the order in which they are reached
@@ -26,6 +26,6 @@ bool backlash_is_left(const ProtocolConfig& protocol, const std::vector<PlannedA
 
 /// Consequence of the remaining backlash, in one sentence without its full stop.
 /// @param zero  stated uncertainty of the zeros of the axes (zero_deg)
-std::string backlash_words(Angle zero);
+Message backlash_words(Angle zero);
 
 }  // namespace abcal

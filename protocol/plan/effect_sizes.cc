@@ -37,8 +37,7 @@ constexpr void set_value(EffectSizes& sizes, double value) {
 }
 
 template <Angle EffectSizes::*member>
-constexpr EffectSizeKey angle(std::string_view section, std::string_view key, double most,
-                              std::string_view words) {
+constexpr EffectSizeKey angle(std::string_view section, std::string_view key, double most, Term words) {
   return {.section = section,
           .key = key,
           .unit = "degree",
@@ -49,7 +48,7 @@ constexpr EffectSizeKey angle(std::string_view section, std::string_view key, do
 }
 template <double EffectSizes::*member>
 constexpr EffectSizeKey value(std::string_view section, std::string_view key, std::string_view unit,
-                              double most, std::string_view words) {
+                              double most, Term words) {
   return {.section = section,
           .key = key,
           .unit = unit,
@@ -66,7 +65,7 @@ constexpr EffectSizeKey further(EffectSizeKey key) {
   key.is_further = true;
   return key;
 }
-constexpr EffectSizeKey usual_but_zero(std::string_view uncovered, EffectSizeKey key) {
+constexpr EffectSizeKey usual_but_zero(Term uncovered, EffectSizeKey key) {
   key.uncovered = uncovered;
   return key;
 }
@@ -206,8 +205,8 @@ std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes)
   return entries;
 }
 
-std::vector<std::string> unstated_effects(const EffectSizes& sizes) {
-  std::vector<std::string> words;
+std::vector<Term> unstated_effects(const EffectSizes& sizes) {
+  std::vector<Term> words;
   for (const EffectSizeKey& key : kKeys) {
     if (key.get(sizes) > 0.0 && !sizes.sources.contains(key.key)) words.emplace_back(key.words);
   }

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "protocol/messages/message.h"
 
 namespace abcal {
 
@@ -101,12 +102,12 @@ struct EffectSizeKey {
   double most = 0.0;         ///< Largest value that is accepted; the least is 0.
   /// The effect in words, for results and for the reference of keys: "wobble of the axes, each coefficient to
   /// 3/rev".
-  std::string_view words;
+  Term words;
   bool was_tolerance = false;  ///< `[tolerances]` of bench/1 and `tolerances.KEY` of old files mean this.
   bool is_further = false;  ///< Neither the published protocol nor section 5 of the theory knows the effect.
   /// The effect in words where its default is zero although benches usually have it: results state that it is
   /// not covered unless its size is stated. Empty: a size of zero is not mentioned.
-  std::string_view uncovered{};
+  Term uncovered{""};
   /// Default in a run at a constant rate, of an effect that no other run has; 0: every run has it. Such an
   /// effect is not a further one: without it, a run at a constant rate has no meaning.
   double in_motion = 0.0;
@@ -135,6 +136,6 @@ void read_effect_sizes(const std::function<std::optional<double>(const std::stri
 std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes);
 
 /// Words of the effects whose size is a default because none was stated, in the order of the table.
-std::vector<std::string> unstated_effects(const EffectSizes& sizes);
+std::vector<Term> unstated_effects(const EffectSizes& sizes);
 
 }  // namespace abcal

@@ -34,7 +34,7 @@ std::string_view to_string(QuantityFrame frame);
 /// results renders the groups of quantity_groups(): a quantity is described there and nowhere else.
 struct QuantityGroup {
   std::string key;      ///< "intrinsic_angle": its name in JSON, HDF5, C++, Python; with "abc_" in a DCC.
-  std::string heading;  ///< "Intrinsic angles"
+  Term heading;         ///< "Intrinsic angles"
   std::string meaning;  ///< One phrase: the numbers, and what they belong to.
   QuantityKind kind = QuantityKind::kOutput;
   QuantityFrame frame = QuantityFrame::kItem;

@@ -237,7 +237,7 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
       .set("lost", dwell.lost)
       .set("temperature_degc", dwell.temperature_degc)
       .set("flags", std::int64_t{dwell.flags})
-      .set("flag_words", describe_flags(dwell.flags))
+      .set("flag_words", describe_flags(dwell.flags).english())
       .set("first_sequence", constants.first_sequence)
       .set("first_reading_ns", constants.first_ns)
       .set("reading_interval_ns", constants.interval_ns);

@@ -49,8 +49,12 @@ bool backlash_is_left(const RunRecord& record) {
   return turns_both_ways(poses);
 }
 
-std::string describe_flags(std::uint32_t flags) {
-  static constexpr std::array<std::pair<std::uint32_t, const char*>, 10> kWords{{
+Message describe_flags(std::uint32_t flags) {
+  struct FlagWords {
+    std::uint32_t flag;
+    Term words;
+  };
+  static constexpr std::array<FlagWords, 10> kWords{{
       {kFlagNotQuiet, "not quiet"},
       {kFlagLostReadings, "lost readings"},
       {kFlagClipped, "clipped"},
@@ -62,11 +66,10 @@ std::string describe_flags(std::uint32_t flags) {
       {kFlagHeld, "held for the temperature"},
       {kFlagNorm, "norm not that of gravity"},
   }};
-  std::string text;
-  for (const auto& [flag, word] : kWords) {
-    if ((flags & flag) != 0) text.append(text.empty() ? "" : ", ").append(word);
-  }
-  return text;
+  std::vector<Message> found;
+  for (const auto& [flag, words] : kWords)
+    if ((flags & flag) != 0) found.push_back(words);
+  return in_sequence(found, ", ");
 }
 
 }  // namespace abcal

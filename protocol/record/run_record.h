@@ -34,7 +34,7 @@ enum DwellFlag : std::uint32_t {
 inline constexpr std::uint32_t kAllFlags = 2U * kFlagNorm - 1U;
 
 /// The words for the flags of one dwell, in a fixed order ("not quiet, lost readings"); empty for none.
-std::string describe_flags(std::uint32_t flags);
+Message describe_flags(std::uint32_t flags);
 
 /// Why an angle was measured.
 enum class DwellRole {

@@ -18,6 +18,7 @@
 #include "protocol/estimators/shared/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
+#include "protocol/model/effects.h"
 #include "protocol/plan/backlash.h"
 
 namespace abcal {
@@ -42,25 +43,26 @@ Eigen::Index position(Eigen::Index j, Eigen::Index component) {
 }
 
 /// Sources of uncertainty that no budget of this program covers.
-std::vector<std::string> sources_without_a_line(const RunRecord& record, bool resolution_given) {
-  std::vector<std::string> out{"nutation of the stage's axes beyond its stated wobble",
-                               "stress-induced distortion of the stage",
-                               "temperature and remounting of the accelerometer",
-                               "torque of the mounting screws and pull of the cable",
-                               "self-heating that changes with the orientation",
-                               "magnetic fields",
-                               "vibration rectification"};
+std::vector<Message> sources_without_a_line(const RunRecord& record, bool resolution_given) {
+  static constexpr std::array<Term, 7> kOfEvery{"nutation of the stage's axes beyond its stated wobble",
+                                                "stress-induced distortion of the stage",
+                                                "temperature and remounting of the accelerometer",
+                                                "torque of the mounting screws and pull of the cable",
+                                                "self-heating that changes with the orientation",
+                                                "magnetic fields",
+                                                "vibration rectification"};
+  std::vector<Message> out(kOfEvery.begin(), kOfEvery.end());
   if (record.g_loc_known && !(record.g_loc.expanded_uncertainty_mps2 > 0.0))
-    out.emplace_back("local gravity in sensitivities per m/s2 (its uncertainty is not given)");
+    out.push_back(Message("local gravity in sensitivities per m/s2 (its uncertainty is not given)"));
   if (record.g_loc_known)
-    out.emplace_back(
-        "height of the item above the point of g_loc (3.1e-07 of g_loc per metre) and its tide "
-        "(1.5e-07), in sensitivities per m/s2");
+    out.push_back(
+        Message("height of the item above the point of g_loc (3.1e-07 of g_loc per metre) and its tide "
+                "(1.5e-07), in sensitivities per m/s2"));
   for (const EffectSizeKey& size : effect_size_keys())
     if (!size.uncovered.empty() && !(size.get(record.tolerances) > 0.0))
-      out.push_back(fmt::format("{} ({} not given)", size.uncovered, size.key));
-  if (!resolution_given) out.emplace_back("resolution of the accelerometer's output (not given)");
-  if (backlash_is_left(record)) out.emplace_back(kBacklashNotCovered);
+      out.push_back(Message("{effect} ({key} not given)", size.uncovered, size.key));
+  if (!resolution_given) out.push_back(Message("resolution of the accelerometer's output (not given)"));
+  if (backlash_is_left(record)) out.push_back(kBacklashNotCovered);
   return out;
 }
 
@@ -74,7 +76,7 @@ void add_gravity_to(const RunRecord& record, const CalibrationResult& result, Bu
   if (!(record.g_loc.expanded_uncertainty_mps2 > 0.0)) return;
   const double g = record.g_loc.value_mps2;
   BudgetLine line;
-  line.input = "g_loc";
+  line.input = Message("{symbol}", "g_loc");
   line.value = std::to_string(g);
   line.unit = "m/s2";
   line.distribution = to_string(Shape::kNormal);
@@ -138,7 +140,7 @@ Covariance12 add_voltmeter_to(const RunRecord& record, const CalibrationResult& 
                               const OutputJacobian& jacobian, Budget& budget) {
   const EffectSizes& sizes = record.tolerances;
   const VoltmeterShare share = voltmeter_share(result.sensitivity_values(), result.offset_values(), sizes);
-  const auto add = [&](const char* input, const char* key, double size, const char* unit,
+  const auto add = [&](Term input, const char* key, double size, const char* unit,
                        const Covariance12& covariance) {
     if (!(size > 0.0)) return;
     BudgetLine line;
@@ -157,7 +159,7 @@ Covariance12 add_voltmeter_to(const RunRecord& record, const CalibrationResult& 
 }
 
 /// The scatter of the readings; without the one standard uncertainty that all of them might have.
-BudgetLine readings_line(std::string input, const RunRecord& record, const CalibrationResult& result,
+BudgetLine readings_line(Message input, const RunRecord& record, const CalibrationResult& result,
                          const OutputVector& contribution) {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   BudgetLine line;
@@ -220,9 +222,9 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   for (const EffectShare& share : result.joint->shares) {
     const auto [unit, size] = shown_size(share);
     BudgetLine line;
-    line.input = share.effect;
+    line.input = effect_words(share.effect);
     line.key = share.key;
-    if (share.unknowns > 1) line.input += fmt::format(", {} unknowns", share.unknowns);
+    if (share.unknowns > 1) line.input = Message("{input}, {unknowns} unknowns", line.input, share.unknowns);
     line.value = "estimated";
     line.unit = unit;
     describe_size(record.tolerances, share.key, line);
@@ -237,8 +239,8 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
     budget.lines.push_back(std::move(line));
   }
   readings -= add_voltmeter_to(record, result, jacobian, budget);
-  budget.lines.push_back(readings_line("readings (noise, and its process from angle to angle)", record,
-                                       result, contributions(jacobian, readings)));
+  budget.lines.push_back(readings_line(Message("readings (noise, and its process from angle to angle)"),
+                                       record, result, contributions(jacobian, readings)));
   add_check_poses_to(record, budget);
   add_gravity_to(record, result, budget);
   combine(record, budget);
@@ -290,7 +292,7 @@ class BudgetMaker {
       const OutputVector contribution = jacobian_ * input.change;
       const OutputVector sensitivity = contribution / input.standard_uncertainty;
       line.unit = input.unit;
-      line.input = input.group;
+      line.input = effect_words(input.group);
       describe_size(record_.tolerances, input.key, line);
       line.standard_uncertainty = std::max(line.standard_uncertainty, input.standard_uncertainty);
       line.sensitivity += sensitivity.cwiseAbs2();
@@ -313,8 +315,8 @@ class BudgetMaker {
       // One input alone keeps the sign of its sensitivity.
       line.sensitivity = members[group] == 1 ? signed_[group] : OutputVector(line.sensitivity.cwiseSqrt());
       line.contribution = line.contribution.cwiseSqrt();
-      if (group.starts_with("f_")) line.input = group + "(n), " + std::to_string(members[group]) + " angles";
-      if (group == "drift") line.input = "drift over the run, u v w";
+      if (group.starts_with("f_")) line.input = Message("{group}(n), {angles} angles", group, members[group]);
+      if (group == "drift") line.input = Message("drift over the run, u v w");
       budget_.lines.push_back(line);
     }
   }
@@ -339,7 +341,7 @@ class BudgetMaker {
       return;
     }
     const Covariance12& covariance = *result_.covariance_type_a;
-    BudgetLine line = readings_line("readings (noise, fit residual)", record_, result_,
+    BudgetLine line = readings_line(Message("readings (noise, fit residual)"), record_, result_,
                                     contributions(jacobian_, covariance));
     // The typical standard uncertainty of a reading; each reading has its own.
     double sum = 0.0;
@@ -366,7 +368,7 @@ class BudgetMaker {
       throw std::invalid_argument("resolution = " + std::to_string(step) + ", it must be above 0");
     }
     BudgetLine line;
-    line.input = "resolution of the output";
+    line.input = Message("resolution of the output");
     line.value = "0";
     line.unit = record_.response_unit;
     line.distribution = to_string(Shape::kRectangular);
@@ -418,7 +420,7 @@ Budget make_budget(const RunRecord& record, const CalibrationResult& result,
                    std::optional<double> resolution) {
   if (!result.sensitivity_matrix || !result.sensitivity_values().allFinite() ||
       !result.offset_values().allFinite()) {
-    throw std::invalid_argument(record.source + ": no result, so no budget: " + result.why);
+    throw std::invalid_argument(record.source + ": no result, so no budget: " + result.why.english());
   }
   if (result.joint) return joint_budget(record, result);
   return BudgetMaker(record, result).make(resolution);

@@ -17,7 +17,7 @@ inline constexpr const char* kThisRun = "this run";
 
 /// One input of the budget and its effect on every output, to first order (JCGM 100).
 struct BudgetLine {
-  std::string input;         ///< "Zx", "f_1(1..72)", "noise of the readings" ...
+  Message input;             ///< "Zx", "f_1(1..72)", "noise of the readings" ...
   std::string value;         ///< Estimate of the input, as text: "0", "measured".
   std::string unit;          ///< Unit of the input and of its standard uncertainty.
   std::string distribution;  ///< "normal", "rectangular", "triangular", "u-shaped": as it was stated.
@@ -54,7 +54,7 @@ struct Budget {
   /// correction, and other_covariance.
   Covariance12 by_correction = Covariance12::Zero();
   Covariance12 added_covariance = Covariance12::Zero();
-  std::vector<std::string> not_covered;  ///< Sources that no line represents; part of every budget.
+  std::vector<Message> not_covered;  ///< Sources that no line represents; part of every budget.
   std::vector<std::string> notes;
 
   double share(const BudgetLine& line, int output) const;  ///< Share of the variance of an output, 0..1.

@@ -30,7 +30,7 @@ void describe(const RunRecord& record, const CalibrationResult& result, RunUncer
   study.tolerances = record.tolerances;
   study.result = result;
   if (result.verdict == Verdict::kNotUsable)
-    throw std::runtime_error(record.source + ": no uncertainty without a result: " + result.why);
+    throw std::runtime_error(record.source + ": no uncertainty without a result: " + result.why.english());
   study.value = outputs_of(result.sensitivity_values(), result.offset_values());
   study.budget = make_budget(record, result);
   JointComparison& joint = study.joint.emplace();

@@ -74,7 +74,8 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
   study.paper_preset = options.paper_preset;
   study.result = analyse_abc(record, {options.resolution});
   if (study.result.verdict == Verdict::kNotUsable) {
-    throw std::runtime_error(record.source + ": no uncertainty without a result: " + study.result.why);
+    throw std::runtime_error(record.source +
+                             ": no uncertainty without a result: " + study.result.why.english());
   }
   study.value = outputs_of(study.result.sensitivity_values(), study.result.offset_values());
 

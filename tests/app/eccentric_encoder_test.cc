@@ -52,7 +52,7 @@ Found find(const Scenario& scenario) {
     const CalibrationResult result = analyse(run.record, "joint");
     const bool usable = result.verdict == Verdict::kUsable;
     found.usable += usable ? 1 : 0;
-    found.named += result.why.find("eccentricity of") != std::string::npos ? 1 : 0;
+    found.named += result.why.english().find("eccentricity of") != std::string::npos ? 1 : 0;
     for (int j = 0; j < 3; ++j) {
       const Quantity& offset = result.offset[static_cast<std::size_t>(j)];
       const double z = (offset.value - run.truth.offset[j]) / offset.standard_uncertainty;

@@ -34,7 +34,7 @@ for file in certificate.md theory/model.md decisions/0001-exceptions-for-instrum
 done
 if grep -E 'share/doc/.*\.(md|png|ipynb)$' "$work/program.list"; then fail "these belong into abcal-doc"; fi
 if grep 'examples/cpp' "$work/pages.list"; then fail "these belong into libabcal-dev"; fi
-for file in usr/include/abcal/protocol/estimators/circle/analyse.h; do
+for file in usr/include/abcal/protocol/estimators/circle/abc_estimator.h; do
   grep -qx "./$file" "$work/library.list" || fail "the package libabcal-dev has no $file"
 done
 grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"

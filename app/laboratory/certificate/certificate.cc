@@ -22,13 +22,15 @@ std::string problem_list(const std::string& head, const std::vector<Problem>& pr
 }
 
 /// Names in problems for the run of a certificate, and for the common facts of a series.
-constexpr const char* kRunWords = "run";
-constexpr const char* kSeriesWords = "runs over temperature";
+constexpr Term kRunWords{"run"}, kAsFound{"as-found run"}, kSeriesWords{"runs over temperature"};
 
-bool contains(const std::vector<Problem>& problems, const Problem& problem) {
-  return std::any_of(problems.begin(), problems.end(), [&](const Problem& each) {
-    return each.where == problem.where && each.found == problem.found && each.required == problem.required;
-  });
+/// Whether a reason is listed for its own run or for another one.
+bool is_listed(const std::vector<Reason>& reasons, Reason reason, const Message& other_run) {
+  const auto is_there = [&] { return std::ranges::find(reasons, reason) != reasons.end(); };
+  if (is_there()) return true;
+  if (reason.run != Message(kSeriesWords)) return false;
+  reason.run = other_run;
+  return is_there();
 }
 
 /// Collects the problems of a certificate in two lists: those that a draft cannot have either, and the rest.
@@ -37,10 +39,12 @@ class Inspection {
   Inspection(const LaboratoryFile& laboratory, std::vector<Problem> of_file)
       : laboratory_(laboratory), of_file_(std::move(of_file)) {}
 
-  void check(const ReportData& data, const std::string& which) {
+  void check(const ReportData& data, const Message& which) {
     if (!data.run) {
-      of_run_.push_back(
-          {which, "a CSV of averages", "a run file: a certificate names item, operator and bench"});
+      of_run_.push_back({which,
+                         {},
+                         Message("a CSV of averages"),
+                         Message("a run file: a certificate names item, operator and bench")});
       return;
     }
     check_state(data, which);
@@ -53,16 +57,19 @@ class Inspection {
   void check_pair(const ReportData& found, const ReportData& left) {
     for (const char* key : {"item.maker", "item.model", "item.serial_number"}) {
       if (found.label(key) != left.label(key)) {
-        of_run_.push_back({std::string("as-found run, ") + key, "\"" + found.label(key) + "\"",
-                           "the item of the other run, \"" + left.label(key) + "\""});
+        of_run_.push_back({kAsFound, Message("{key}", key), Message("\"{text}\"", found.label(key)),
+                           Message("the item of the other run, \"{item}\"", left.label(key))});
       }
     }
     if (found.record.response_unit != left.record.response_unit)
-      of_run_.push_back(
-          {"as-found run, response unit", found.record.response_unit, left.record.response_unit});
+      of_run_.push_back({kAsFound, Message("response unit"), Message("{unit}", found.record.response_unit),
+                         Message("{unit}", left.record.response_unit)});
     if (found.started_utc() > left.started_utc())
-      of_run_.push_back({"as-found run", "began " + found.started_utc(),
-                         "a beginning not after that of the other run, " + left.started_utc()});
+      of_run_.push_back(
+          {kAsFound,
+           {},
+           Message("began {began}", found.started_utc()),
+           Message("a beginning not after that of the other run, {began}", left.started_utc())});
     if (laboratory_.job.adjustment.empty())
       of_file_.push_back({"[job] adjustment", "nothing",
                           "what was done to the item between the as-found and the as-left run"});
@@ -70,7 +77,7 @@ class Inspection {
 
   /// Checks the points of a series. A problem with the bench of all points, or of the run as well, is
   /// reported once.
-  void check_series(const std::vector<ReportData>& points, const ReportData& run, const std::string& which) {
+  void check_series(const std::vector<ReportData>& points, const ReportData& run, const Message& which) {
     for (const ReportData& point : points) {
       if (!point.run) continue;
       if (point.sha256 != run.sha256) check_state(point, quoted(point.path.filename().string()));
@@ -80,14 +87,9 @@ class Inspection {
       check_equipment(point, kSeriesWords);
     }
     add_of_run(problems_of_series(points, run));
-    std::vector<Problem> each_once;
-    for (Problem& problem : of_run_) {
-      Problem of_the_run = problem;
-      if (problem.where.starts_with(kSeriesWords))
-        of_the_run.where.replace(0, std::string_view(kSeriesWords).size(), which);
-      if (!contains(each_once, problem) && !contains(each_once, of_the_run))
-        each_once.push_back(std::move(problem));
-    }
+    std::vector<Reason> each_once;
+    for (Reason& reason : of_run_)
+      if (!is_listed(each_once, reason, which)) each_once.push_back(std::move(reason));
     of_run_ = std::move(each_once);
   }
 
@@ -97,12 +99,18 @@ class Inspection {
     check_persons(issue, operators, !equipment_of_run(*runs.back()).empty());
     check_dates(issue, runs);
     if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
-      of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
-    if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
-      of_run_.push_back({"reason", "nothing", "why certificate " + issue.replaces->number + " is replaced"});
-    if (issue.replaces && issue.replaces->number == issue.number)
       of_run_.push_back(
-          {"number", quoted(issue.number), "a number different from that of the replaced certificate"});
+          {{}, Message("number"), quoted(issue.number), Message("the unique number of the certificate")});
+    if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
+      of_run_.push_back({{},
+                         Message("reason"),
+                         Message("nothing"),
+                         Message("why certificate {number} is replaced", issue.replaces->number)});
+    if (issue.replaces && issue.replaces->number == issue.number)
+      of_run_.push_back({{},
+                         Message("number"),
+                         quoted(issue.number),
+                         Message("a number different from that of the replaced certificate")});
   }
 
   /// States the result, also in the requested units, and decides on the limits; reports what the result does
@@ -139,21 +147,19 @@ class Inspection {
     }
   }
 
-  void add_of_run(const std::vector<Problem>& problems) {
-    of_run_.insert(of_run_.end(), problems.begin(), problems.end());
+  void add_of_run(const std::vector<Reason>& reasons) {
+    of_run_.insert(of_run_.end(), reasons.begin(), reasons.end());
   }
 
   const std::vector<Problem>& of_file() const { return of_file_; }
-  const std::vector<Problem>& of_run() const { return of_run_; }
+  const std::vector<Reason>& of_run() const { return of_run_; }
   std::vector<Problem> all() const {
     std::vector<Problem> all = of_file_;
-    all.insert(all.end(), of_run_.begin(), of_run_.end());
+    for (const Reason& reason : of_run_) all.push_back(reason.problem());
     return all;
   }
 
  private:
-  static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
-
   static bool is_sensitivity(const SpecificationLimit& limit) {
     return limit.quantity.starts_with("sensitivity_") || limit.quantity.starts_with("intrinsic_sensitivity_");
   }
@@ -201,7 +207,8 @@ class Inspection {
   /// Units that a limit may have, in quotes.
   static std::string offered_units(const SpecificationLimit& limit, const ReportData& data,
                                    const std::optional<Quantity>& quantity) {
-    if (!is_sensitivity(limit)) return quantity ? quoted(quantity->unit) : "those of a quantity with a value";
+    if (!is_sensitivity(limit))
+      return quantity ? quoted(quantity->unit).english() : "those of a quantity with a value";
     std::string offered;
     for (const PerAcceleration per :
          {PerAcceleration::kSi, PerAcceleration::kStandard, PerAcceleration::kLocal})
@@ -214,27 +221,41 @@ class Inspection {
                      bool has_registered_equipment) {
     for (const RunOperator& who : operators) {
       if (one_of("measure", who.name) == nullptr)
-        of_run_.push_back(
-            {"measured by", quoted(who.name), "one of " + names("measure") + ", who may measure"});
+        of_run_.push_back({{},
+                           Message("measured by"),
+                           quoted(who.name),
+                           Message("one of {names}, who may measure", names("measure"))});
       if (who.name == issue.approved_by)
-        of_run_.push_back(
-            {"approved by", quoted(issue.approved_by), "a person other than the one who measured"});
+        of_run_.push_back({{},
+                           Message("approved by"),
+                           quoted(issue.approved_by),
+                           Message("a person other than the one who measured")});
       if (!issue.register_identity.empty() && !issue.training &&
           who.register_identity != issue.register_identity)
-        of_run_.push_back({"measured by", fmt::format("\"{}\" ({})", who.name, kNotVerified),
-                           "a person who was logged in to the register during the run"});
+        of_run_.push_back({{},
+                           Message("measured by"),
+                           Message("\"{name}\" (stated, not verified)", who.name),
+                           Message("a person who was logged in to the register during the run")});
     }
     const bool known = std::any_of(operators.begin(), operators.end(),
                                    [&](const RunOperator& who) { return who.name == issue.measured_by; });
     if (!issue.measured_by.empty() && !known)
-      of_run_.push_back({"--measured-by", quoted(issue.measured_by),
-                         "who measured by the events of the run: " + quoted(describe(operators))});
-    if (!issue.register_identity.empty() && !issue.training && !has_registered_equipment)
-      of_run_.push_back({"equipment", "nothing that the register named when the run began",
-                         "calibrations in the register (`abcal lab add calibration`) before the run"});
-    if (one_of("approve", issue.approved_by) == nullptr)
       of_run_.push_back(
-          {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
+          {{},
+           Message("{option}", "--measured-by"),
+           quoted(issue.measured_by),
+           Message("who measured by the events of the run: {names}", quoted(describe(operators)))});
+    if (!issue.register_identity.empty() && !issue.training && !has_registered_equipment)
+      of_run_.push_back(
+          {{},
+           Message("equipment"),
+           Message("nothing that the register named when the run began"),
+           Message("calibrations in the register (`abcal lab add calibration`) before the run")});
+    if (one_of("approve", issue.approved_by) == nullptr)
+      of_run_.push_back({{},
+                         Message("approved by"),
+                         quoted(issue.approved_by),
+                         Message("one of {names}, who may approve", names("approve"))});
   }
 
   /// Dates agree with each other and with the clock.
@@ -242,19 +263,27 @@ class Inspection {
     const auto [begin_utc, end_utc] = period_of(runs);
     const auto begin = parse_date(begin_utc), end = parse_date(end_utc);
     if (end && issue.date < *end)
-      of_run_.push_back(
-          {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
+      of_run_.push_back({{},
+                         Message("date of issue"),
+                         Message("{date}", format_date(issue.date)),
+                         Message("not before the run's end, {end}", format_date(*end))});
     if (issue.today && issue.date > *issue.today)
-      of_run_.push_back(
-          {"date of issue", format_date(issue.date), "not after today, " + format_date(*issue.today)});
+      of_run_.push_back({{},
+                         Message("date of issue"),
+                         Message("{date}", format_date(issue.date)),
+                         Message("not after today, {today}", format_date(*issue.today))});
     const auto& received = laboratory_.job.received;
     // The clock of a simulated run is simulated, too.
     if (received && begin && runs.back()->simulated.empty() && *received > *begin)
-      of_run_.push_back(
-          {"[job] received", format_date(*received), "not after the run began, " + format_date(*begin)});
+      of_run_.push_back({{},
+                         Message("{key}", "[job] received"),
+                         Message("{date}", format_date(*received)),
+                         Message("not after the run began, {began}", format_date(*begin))});
     if (issue.today && end && *end > *issue.today)
-      of_run_.push_back(
-          {"end of the run", format_date(*end), "not after today, " + format_date(*issue.today)});
+      of_run_.push_back({{},
+                         Message("end of the run"),
+                         Message("{date}", format_date(*end)),
+                         Message("not after today, {today}", format_date(*issue.today))});
   }
 
   const Person* one_of(const std::string& may, const std::string& name) const {
@@ -263,92 +292,103 @@ class Inspection {
         return &person;
     return nullptr;
   }
-  std::string names(const std::string& may) const {
-    std::string text;
+  Message names(const std::string& may) const {
+    std::vector<Message> all;
     for (const Person& person : laboratory_.persons)
-      if (one_of(may, person.name) == &person) text += (text.empty() ? "" : ", ") + quoted(person.name);
-    return text.empty() ? "the [[person]] entries" : text;
+      if (one_of(may, person.name) == &person) all.push_back(quoted(person.name));
+    return all.empty() ? Message("the [[person]] entries") : in_sequence(all, ", ");
   }
 
-  void check_state(const ReportData& data, const std::string& which) {
+  void check_state(const ReportData& data, const Message& which) {
     if (!data.complete()) {
       of_run_.push_back({which,
-                         fmt::format("{}, {} of {} angles measured", to_string(data.run->state),
-                                     data.run->measured.size(), data.run->header.plan.size()),
-                         "a complete run: `abcal resume`"});
+                         {},
+                         Message("{experiment}, {measured} of {planned} angles measured",
+                                 word_of(kRunStates, to_string(data.run->state)), data.run->measured.size(),
+                                 data.run->header.plan.size()),
+                         Message("a complete run: `abcal resume`")});
     } else {
       for (const IntegrityCheck& check : data.integrity)
         if (!check.good)
-          of_run_.push_back({which + ", " + check.what, check.found, "consistent with what was stored"});
+          of_run_.push_back({which, Message("{check}", check.what), Message::bare(check.found),
+                             Message("consistent with what was stored")});
     }
     const CalibrationResult& result = data.result();
     if (result.verdict != Verdict::kUsable)
       of_run_.push_back(
-          {which + ", verdict", fmt::format("{}: {}", to_string(result.verdict), result.why), "usable"});
+          {which, Message("verdict"),
+           Message("{verdict}: {why}", word_of(kVerdicts, to_string(result.verdict)), result.why),
+           Message("usable")});
   }
 
-  void check_labels(const ReportData& data, const std::string& which) {
+  void check_labels(const ReportData& data, const Message& which) {
     for (const auto& [key, words] : {std::pair{"item.maker", "[item] maker"},
                                      {"item.model", "[item] model"},
                                      {"item.serial_number", "[item] serial_number"},
                                      {"operator.name", "[operator] name"}}) {
       if (data.label(key).find_first_not_of(" \t\r\n") == std::string::npos)
-        of_run_.push_back({which + ", " + words, "nothing", "given in the bench file before the run"});
+        of_run_.push_back({which, Message("{key}", words), Message("nothing"),
+                           Message("given in the bench file before the run")});
     }
     const std::string name = data.label("operator.name");
     if (!name.empty() && one_of("measure", name) == nullptr)
-      of_run_.push_back(
-          {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
+      of_run_.push_back({which, Message("operator"), quoted(name),
+                         Message("one of {names}, who may measure", names("measure"))});
   }
 
   /// The item of the certificate is the one whose instrument answered.
-  void check_identity(const ReportData& data, const std::string& which) {
+  void check_identity(const ReportData& data, const Message& which) {
     for (const IdentityPart& part : identity_of(data))
       if (!part.agrees())
         of_run_.push_back(
-            {fmt::format("{}, [item] {}", which, part.key),
-             fmt::format("\"{}\", but the instrument reported \"{}\"", part.stated, part.reported),
-             "a run of the item that is named: what answered was another item, or the bench "
-             "file named it wrongly"});
+            {which, Message("[item] {key}", part.key),
+             Message("\"{stated}\", but the instrument reported \"{reported}\"", part.stated, part.reported),
+             Message("a run of the item that is named: what answered was another item, or the bench "
+                     "file named it wrongly")});
   }
 
-  void check_conditions(const ReportData& data, const std::string& which) {
+  void check_conditions(const ReportData& data, const Message& which) {
     const auto& environment = data.run->environment;
     if (std::none_of(environment.begin(), environment.end(),
                      [](const StoredEnvironment& look) { return look.temperature_degc.has_value(); })) {
-      of_run_.push_back({which + ", temperature of the room", "nothing",
-                         "[environment] temperature_degc in the bench file, or a sensor"});
+      of_run_.push_back({which, Message("temperature of the room"), Message("nothing"),
+                         Message("[environment] temperature_degc in the bench file, or a sensor")});
     }
     if (!(data.record.g_loc.expanded_uncertainty_mps2 > 0.0))
-      of_run_.push_back({which + ", local gravity", "no uncertainty",
-                         "[bench] g_loc_expanded_uncertainty_mps2, as the survey states it"});
+      of_run_.push_back({which, Message("local gravity"), Message("no uncertainty"),
+                         Message("[bench] g_loc_expanded_uncertainty_mps2, as the survey states it")});
     if (data.record.g_loc.source.empty())
-      of_run_.push_back({which + ", local gravity", "no source", "[bench] g_loc_source"});
+      of_run_.push_back(
+          {which, Message("local gravity"), Message("no source"), Message("{key}", "[bench] g_loc_source")});
   }
 
-  void check_equipment(const ReportData& data, const std::string& which) {
+  void check_equipment(const ReportData& data, const Message& which) {
     const auto day = parse_date(data.ended_utc());
     for (const Equipment& one : laboratory_.equipment) {
       if (day && one.due && *one.due < *day)
-        of_run_.push_back({fmt::format("line {}, [[equipment]] \"{}\", due", one.line, one.name),
-                           format_date(*one.due),
-                           fmt::format("a date not before that of the {}, {}", which, format_date(*day))});
+        of_run_.push_back(
+            {{},
+             Message("line {line}, [[equipment]] {name}, due", one.line, quoted(one.name)),
+             Message("{date}", format_date(*one.due)),
+             Message("a date not before that of the {which}, {date}", which, format_date(*day))});
     }
     const std::string missing =
         serial_number_without_equipment(laboratory_.equipment, "angle", serial_numbers_of(data, "stage"));
     if (!missing.empty())
-      of_run_.push_back({which + ", stage", fmt::format("serial number \"{}\"", missing),
-                         "an [[equipment]] with quantity = \"angle\" and this serial_number"});
+      of_run_.push_back({which, Message("stage"), Message("serial number {serial_number}", quoted(missing)),
+                         Message("an [[equipment]] with quantity = \"angle\" and this serial_number")});
     const bool volts = data.record.response_unit.ends_with("V");
     if (volts && std::none_of(laboratory_.equipment.begin(), laboratory_.equipment.end(),
                               [](const Equipment& one) { return one.quantity == "voltage"; })) {
-      of_run_.push_back({which + ", output in " + data.record.response_unit, "no calibrated voltmeter",
-                         "an [[equipment]] with quantity = \"voltage\""});
+      of_run_.push_back({which, Message("output in {unit}", data.record.response_unit),
+                         Message("no calibrated voltmeter"),
+                         Message("an [[equipment]] with quantity = \"voltage\"")});
     }
   }
 
   const LaboratoryFile& laboratory_;
-  std::vector<Problem> of_file_, of_run_;
+  std::vector<Problem> of_file_;
+  std::vector<Reason> of_run_;
 };
 
 std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult& left) {
@@ -404,27 +444,15 @@ std::vector<RunOperator> operators_of_runs(const std::vector<const ReportData*>&
   return operators;
 }
 
-/// A problem in the language of the certificate.
-std::string in_words(const Words& words, const Problem& problem) {
-  const std::string where = words.composed(problem.where).text, found = words.composed(problem.found).text,
-                    required = words.composed(problem.required).text;
-  if (found.empty() || required.empty()) return to_string(Problem{where, found, required});
-  return words("{where}: found {found}; required: {required}", where, found, required).text;
-}
-
-std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
-  std::vector<Problem> reasons = against_traceability(laboratory, request.run, kRunWords);
+std::vector<Reason> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
+  std::vector<Reason> reasons = against_traceability(laboratory, request.run, kRunWords);
   if (request.as_found)
-    for (Problem& problem : against_traceability(laboratory, *request.as_found, "as-found run"))
-      reasons.push_back(std::move(problem));
+    for (Reason& reason : against_traceability(laboratory, *request.as_found, kAsFound))
+      reasons.push_back(std::move(reason));
   // A reason against the run itself, or against several points, is reported once.
-  for (const ReportData& point : request.series) {
-    const std::vector<Problem> as_run = against_traceability(laboratory, point, kRunWords);
-    std::vector<Problem> as_series = against_traceability(laboratory, point, kSeriesWords);
-    for (std::size_t i = 0; i < as_series.size(); ++i)
-      if (!contains(reasons, as_run[i]) && !contains(reasons, as_series[i]))
-        reasons.push_back(std::move(as_series[i]));
-  }
+  for (const ReportData& point : request.series)
+    for (Reason& reason : against_traceability(laboratory, point, kSeriesWords))
+      if (!is_listed(reasons, reason, kRunWords)) reasons.push_back(std::move(reason));
   return reasons;
 }
 
@@ -489,19 +517,18 @@ Certificate make_certificate(CertificateRequest request) {
   if (auto registered = equipment_of_run(request.run); !registered.empty())
     certificate.laboratory.equipment = std::move(registered);
   certificate.operators = operators_of_runs(runs_of(request));
-  const std::vector<Problem> not_traceable = reasons_against(certificate.laboratory, request);
-  for (const Problem& problem : not_traceable)
-    certificate.not_traceable.push_back(in_words(certificate.words, problem));
+  const std::vector<Reason> not_traceable = reasons_against(certificate.laboratory, request);
+  for (const Reason& reason : not_traceable) certificate.not_traceable.push_back(reason.message());
   Inspection inspection(certificate.laboratory, std::move(read.problems));
-  const std::string which = request.as_found ? "as-left run" : kRunWords;
+  const Message which = request.as_found ? Message("as-left run") : Message(kRunWords);
   inspection.check(request.run, which);
   if (request.as_found) {
-    inspection.check(*request.as_found, "as-found run");
+    inspection.check(*request.as_found, kAsFound);
     inspection.check_pair(*request.as_found, request.run);
   }
   if (!request.series.empty()) {
     inspection.check_series(request.series, request.run, which);
-    std::vector<Problem> problems;
+    std::vector<Reason> problems;
     certificate.series = certified_series(request.series, problems);
     inspection.add_of_run(problems);
   }
@@ -526,9 +553,8 @@ Certificate make_certificate(CertificateRequest request) {
   const bool may_be_draft =
       request.draft && certificate.run.data.run && (!certificate.as_found || certificate.as_found->data.run);
   if (!inspection.of_run().empty() && !may_be_draft)
-    throw CertificateRefused(certificate.run.data.path.string(), inspection.of_run());
-  for (const Problem& problem : inspection.of_run())
-    certificate.reservations.push_back(in_words(certificate.words, problem));
+    throw CertificateRefused(certificate.run.data.path.string(), problems_of(inspection.of_run()));
+  for (const Reason& reason : inspection.of_run()) certificate.reservations.push_back(reason.message());
 
   if (certificate.as_found && certificate.as_found->has_numbers() && certificate.run.has_numbers())
     certificate.shifts = shifts_between(certificate.as_found->stated, certificate.run.stated);

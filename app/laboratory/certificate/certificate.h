@@ -10,6 +10,7 @@
 #include "app/laboratory/certificate/decision.h"
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/laboratory_file.h"
+#include "app/laboratory/certificate/reason.h"
 #include "app/laboratory/certificate/registered_entry.h"
 #include "app/laboratory/certificate/stated_result.h"
 #include "app/laboratory/certificate/words.h"
@@ -76,8 +77,8 @@ struct CertifiedSeries {
 
 /// The content of a certificate, independent of its form.
 struct Certificate {
-  std::string number;                     ///< "DRAFT-..." until issued.
-  std::vector<std::string> reservations;  ///< Problems that a draft is allowed to have.
+  std::string number;                 ///< "DRAFT-..." until issued.
+  std::vector<Message> reservations;  ///< Problems that a draft is allowed to have.
   LaboratoryFile laboratory;
   std::optional<IssueFacts> issue;
   std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
@@ -85,8 +86,8 @@ struct Certificate {
   std::vector<Shift> shifts;
   std::optional<CertifiedSeries> series;  ///< Over temperature.
   std::vector<RunOperator> operators;     ///< Operators according to the events of the runs.
-  std::vector<std::string>
-      not_traceable;  ///< Every reason why the results are not called traceable; empty: they are.
+  /// Every reason why the results are not called traceable; empty: they are.
+  std::vector<Message> not_traceable;
   std::string program_version;
   Words words;  ///< In the language of the laboratory file.
 

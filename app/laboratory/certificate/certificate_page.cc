@@ -70,7 +70,7 @@ Section head_section(const PageSource& from) {
   add_fact(facts.right, from.say("Date of issue"), issued.empty() ? from.say("not issued: DRAFT") : issued);
   add_fact(facts.right, from.say("Received"), from.text(core + "dcc:receiptDate"));
   add_fact(facts.right, from.say("Place of calibration"),
-           from.words.known(from.text(core + "dcc:performanceLocation")));
+           from.words(word_of(kPlaces, from.text(core + "dcc:performanceLocation"))).text);
   add_fact(facts.right, from.say("Replaces"),
            from.text(core + "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"));
   FactList condition;
@@ -96,7 +96,8 @@ std::string conformity_words(const PageSource& from, xmlNode* measurement) {
                          quantity)];
   std::string counts;
   for (const auto& [verdict, count] : verdicts)
-    counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ", from.words.known(verdict), count);
+    counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ",
+                          from.words(word_of(kConformityWords, verdict)).text, count);
   return from.words("Conformity with specification, number of decisions: {counts}.", counts).text;
 }
 
@@ -194,7 +195,7 @@ Section decision_section(const PageSource& from, xmlNode* result, const std::str
         {symbol_or_words(from, from.content("dcc:name", quantity)) + scope_star(from, quantity), value.value,
          value.expanded, value.unit, limit_of(from, facts, "toleranceLimit", true),
          limit_of(from, facts, "acceptanceLimit", false), typeset_number(probability, from.words),
-         from.words.known(from.text("dcc:conformity", facts))});
+         from.words(word_of(kConformityWords, from.text("dcc:conformity", facts))).text});
   }
   Section section{title, {}};
   section.blocks.emplace_back(std::move(table));

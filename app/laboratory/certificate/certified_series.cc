@@ -13,11 +13,7 @@
 namespace abcal {
 namespace {
 
-constexpr const char* kOption = "--temperature";
-
-std::string in_quotes(const std::string& text) {
-  return text.empty() ? "nothing" : "\"" + text + "\"";
-}
+const Message kOption("{option}", "--temperature");
 
 /// The bench and its stage, by their names.
 std::string bench_of(const ReportData& data) {
@@ -32,33 +28,36 @@ std::optional<PlaceInSeries> place_of(const ReportData& point) {
   return point.run ? place_in_series(point.run->header) : std::nullopt;
 }
 
-std::string where_in_series(const ReportData& point) {
-  return fmt::format("{}, \"{}\"", kOption, point.path.filename().string());
+Message where_in_series(const ReportData& point) {
+  return {"{option}, {file}", kOption, quoted(point.path.filename().string())};
 }
 
 /// Adds the differences between a point and the run of the certificate.
-void compare_with_run(const ReportData& point, const ReportData& run, std::vector<Problem>& problems) {
-  const std::string where = where_in_series(point);
+void compare_with_run(const ReportData& point, const ReportData& run, std::vector<Reason>& problems) {
+  const Message where = where_in_series(point);
   for (const char* key : {"item.maker", "item.model", "item.serial_number"})
     if (point.label(key) != run.label(key))
-      problems.push_back({where + ", " + key, in_quotes(point.label(key)),
-                          "the item of the run, " + in_quotes(run.label(key))});
+      problems.push_back({where, Message("{key}", key), quoted(point.label(key)),
+                          Message("the item of the run, {item}", quoted(run.label(key)))});
   if (point.record.response_unit != run.record.response_unit)
-    problems.push_back({where + ", response unit", point.record.response_unit, run.record.response_unit});
+    problems.push_back({where, Message("response unit"), Message("{unit}", point.record.response_unit),
+                        Message("{unit}", run.record.response_unit)});
   if (bench_of(point) != bench_of(run))
-    problems.push_back(
-        {where + ", bench", in_quotes(bench_of(point)), "the bench of the run, " + in_quotes(bench_of(run))});
+    problems.push_back({where, Message("bench"), quoted(bench_of(point)),
+                        Message("the bench of the run, {bench}", quoted(bench_of(run)))});
 }
 
 /// Reports points of a series that are missing or repeated.
-void check_whole(const std::vector<PlaceInSeries>& places, std::vector<Problem>& problems) {
+void check_whole(const std::vector<PlaceInSeries>& places, std::vector<Reason>& problems) {
   if (places.empty()) return;
   const int of = places.front().of;
   std::vector<int> there, missing, twice;
   for (const PlaceInSeries& place : places) {
     if (place.of != of) {
-      problems.push_back({kOption, fmt::format("points of a series of {} and of one of {}", of, place.of),
-                          "the points of one series"});
+      problems.push_back({kOption,
+                          {},
+                          Message("points of a series of {first} and of one of {second}", of, place.of),
+                          Message("the points of one series")});
       return;
     }
     there.push_back(place.number);
@@ -69,42 +68,54 @@ void check_whole(const std::vector<PlaceInSeries>& places, std::vector<Problem>&
     if (count > 1) twice.push_back(number);
   }
   if (!missing.empty())
-    problems.push_back({kOption, fmt::format("no point {} of {}", fmt::join(missing, ", "), of),
-                        "every point of the series, with its return to the reference"});
+    problems.push_back(
+        {kOption,
+         {},
+         Message("no point {points} of {all}", fmt::format("{}", fmt::join(missing, ", ")), of),
+         Message("every point of the series, with its return to the reference")});
   if (!twice.empty())
-    problems.push_back({kOption, fmt::format("point {} twice", fmt::join(twice, ", ")), "every point once"});
+    problems.push_back({kOption,
+                        {},
+                        Message("point {points} twice", fmt::format("{}", fmt::join(twice, ", "))),
+                        Message("every point once")});
 }
 
 }  // namespace
 
-std::vector<Problem> problems_of_series(const std::vector<ReportData>& points, const ReportData& run) {
-  std::vector<Problem> problems;
+std::vector<Reason> problems_of_series(const std::vector<ReportData>& points, const ReportData& run) {
+  std::vector<Reason> problems;
   std::vector<PlaceInSeries> places;
   const ReportData* first = nullptr;
   for (const ReportData& point : points) {
     const auto place = place_of(point);
     if (!place) {
       problems.push_back({where_in_series(point),
-                          point.run ? "a run that is no point of a series" : "no run file",
-                          "a run that `abcal temperature` measured"});
+                          {},
+                          point.run ? Message("a run that is no point of a series") : Message("no run file"),
+                          Message("a run that `abcal temperature` measured")});
       continue;
     }
     places.push_back(*place);
     if (run.run) compare_with_run(point, run, problems);
     if (first == nullptr) first = &point;
     if (point.run->header.bench_toml != first->run->header.bench_toml)
-      problems.push_back({where_in_series(point), "measured with another bench file",
-                          "the same for all points, that of " + first->path.filename().string()});
+      problems.push_back(
+          {where_in_series(point),
+           {},
+           Message("measured with another bench file"),
+           Message("the same for all points, that of {file}", first->path.filename().string())});
   }
   check_whole(places, problems);
   const auto place = place_of(run);
   if (place && place->leg != SeriesLeg::kReference && place->leg != SeriesLeg::kReturn)
-    problems.push_back({"run", fmt::format("the point of a series at {:g} degC", place->set_degc),
-                        "a run at the reference temperature of the series"});
+    problems.push_back({Message("run"),
+                        {},
+                        Message("the point of a series at {temperature:g} degC", place->set_degc),
+                        Message("a run at the reference temperature of the series")});
   return problems;
 }
 
-CertifiedSeries certified_series(std::vector<ReportData> points, std::vector<Problem>& problems) {
+CertifiedSeries certified_series(std::vector<ReportData> points, std::vector<Reason>& problems) {
   CertifiedSeries series;
   series.points = std::move(points);
   const auto number = [](const ReportData& point) {
@@ -126,12 +137,12 @@ CertifiedSeries certified_series(std::vector<ReportData> points, std::vector<Pro
                                     first.record.response_unit);
     for (const StageTrend& trend : series.result->stage)
       if (!trend.constant())
-        problems.push_back({fmt::format("{}, {} of the stage", kOption, trend.name),
-                            fmt::format("{:.2g} {}/K, standard uncertainty {:.1g}", trend.slope, trend.unit,
-                                        trend.standard_uncertainty),
-                            "a stage that does not change with temperature"});
+        problems.push_back({kOption, Message("{name} of the stage", trend.name),
+                            Message("{slope:.2g} {unit}/K, standard uncertainty {uncertainty:.1g}",
+                                    trend.slope, trend.unit, trend.standard_uncertainty),
+                            Message("a stage that does not change with temperature")});
   } catch (const std::invalid_argument& error) {
-    problems.push_back({kOption, error.what(), "runs at several temperatures"});
+    problems.push_back({kOption, {}, Message::bare(error.what()), Message("runs at several temperatures")});
   }
   return series;
 }

@@ -37,15 +37,6 @@ std::string name_of_output(int k) {
   return (k < kFirstIntrinsicAngle ? "intrinsic_sensitivity" : "intrinsic_angle") + of;
 }
 
-/// "wobble of X, 12 unknowns" in the language.
-Wording input_words(const Words& words, const std::string& input) {
-  constexpr std::string_view kUnknowns = " unknowns";
-  const std::size_t comma = input.rfind(", ");
-  if (comma == std::string::npos || !input.ends_with(kUnknowns)) return words.as_given(words.known(input));
-  const std::string count = input.substr(comma + 2, input.size() - comma - 2 - kUnknowns.size());
-  return words("{input}, {unknowns} unknowns", words.known(input.substr(0, comma)), count);
-}
-
 std::string two_digits(double value, const std::string& what) {
   if (!std::isfinite(value)) throw NumberNotFinite(what + " is not a finite number");
   return value == 0.0 ? "0" : rounded_value(0.0, value, what).expanded;
@@ -167,11 +158,11 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
   };
   for (const BudgetLine& line : budget.lines) {
     BudgetRow row;
-    row.input = input_words(words, line.input);
+    row.input = words(line.input);
     row.source = source_words(words, line.source);
     row.degrees_of_freedom = line.degrees_of_freedom;
-    row.kind = line.type_a ? words("type A, {distribution}", words.known(line.distribution))
-                           : words("type B, {distribution}", words.known(line.distribution));
+    row.kind = line.type_a ? words("type A, {distribution}", word_of(kDistributions, line.distribution))
+                           : words("type B, {distribution}", word_of(kDistributions, line.distribution));
     if (std::isfinite(line.standard_uncertainty)) {
       const auto [unit, factor] = input_unit(line.unit);
       row.input_uncertainty = {line.standard_uncertainty * factor, unit};
@@ -194,7 +185,7 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
   }
   if (raise.contribution.isZero(0.0)) return;
   raise.input = words("raised to the smallest uncertainty of the laboratory's scope (CMC)");
-  raise.kind = words("type B, {distribution}", words.known("normal"));
+  raise.kind = words("type B, {distribution}", Message("normal"));
   raise.source = words("the laboratory's scope");
   add(raise);
 }

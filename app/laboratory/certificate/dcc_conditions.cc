@@ -107,7 +107,7 @@ void add_instrument(XmlElement& list, const Words& words, const InstrumentIdenti
   XmlElement equipment = list.add("dcc:measuringEquipment");
   equipment.attribute("refType", "abc_" + instrument.role);
   add_words(equipment, "dcc:name",
-            words("Instrument used as {role}, as it identified itself", words.known(instrument.role)));
+            words("Instrument used as {role}, as it identified itself", word_of(kRoles, instrument.role)));
   add_words(equipment, "dcc:description",
             words("firmware {firmware}; {driver}",
                   instrument.firmware.empty() ? words("not reported").text : instrument.firmware,
@@ -128,7 +128,8 @@ void add_calibrated(XmlElement& list, const Words& words, const Equipment& from)
   add_words(equipment, "dcc:description",
             words("Calibrated in {quantity}; certificate {certificate} of {issuer}, performed {performed}, "
                   "valid until {due}.",
-                  words.known(from.quantity), one_line(from.certificate), one_line(from.certificate_issuer),
+                  word_of(kQuantities, from.quantity), one_line(from.certificate),
+                  one_line(from.certificate_issuer),
                   from.performed ? format_date(*from.performed) : words("not stated").text,
                   from.due ? format_date(*from.due) : words("not stated").text));
   if (!from.certificate_sha256.empty())
@@ -144,7 +145,8 @@ void add_calibrated(XmlElement& list, const Words& words, const Equipment& from)
   add_identification(identifications, "manufacturer", from.serial_number, words("Serial number"));
   add_identification(identifications, "other", from.certificate, words("Calibration certificate"));
   add_identification(identifications, "other", from.certificate_issuer, words("Issuer of the certificate"));
-  add_identification(identifications, "other", words.known(from.quantity), words("Traceable quantity"));
+  add_identification(identifications, "other", words(word_of(kQuantities, from.quantity)).text,
+                     words("Traceable quantity"));
   if (from.performed)
     add_identification(identifications, "other", format_date(*from.performed), words("Calibrated on"));
   if (from.due) add_identification(identifications, "other", format_date(*from.due), words("Valid until"));
@@ -248,7 +250,7 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
     if (!(key.get(sizes) > 0.0) && !sizes.sources.contains(key.key)) continue;
     XmlElement effect = effects.add("dcc:usedMethodQuantity");
     effect.attribute("refType", "abc_effect");
-    add_words(effect, "dcc:name", words.as_given(words.known(key.words)));
+    add_words(effect, "dcc:name", words(key.words));
     const auto source = sizes.sources.find(key.key);
     add_words(effect, "dcc:description",
               source == sizes.sources.end() ? words("Standard uncertainty; a default that nobody stated")
@@ -262,7 +264,7 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
 void add_held_out_norm(XmlElement& list, const Words& words, const HeldOutNorm& norm) {
   XmlElement metadatum =
       add_metadatum(list, "abc_heldOutNorm", words("Check of U: magnitude of a on held-out poses"));
-  add_words(metadatum, "dcc:description", words.composed(held_out_words(norm)));
+  add_words(metadatum, "dcc:description", words(held_out_words(norm)));
   XmlElement data = metadatum.add("dcc:data");
   const auto add = [&](const std::string& ref_type, const Wording& name, double value) {
     XmlElement quantity = data.add("dcc:quantity");
@@ -351,7 +353,7 @@ void add_conditions(XmlElement& measurement, const Certificate& certificate,
   if (state.status.empty()) return;
   XmlElement condition = add_condition(conditions, "abc_itemState", words("State of the item"));
   condition.add("dcc:status", state.status);
-  add_text(condition, words("The item {state}. Adjustment: {adjustment}", words.known(state.words),
+  add_text(condition, words("The item {state}. Adjustment: {adjustment}", state.words,
                             certificate.laboratory.job.adjustment));
 }
 
@@ -370,12 +372,11 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
   add("abc_estimator", words("Estimator"), words.as_given(result.estimator));
   XmlElement verdict = add_metadatum(list, "abc_verdict", words("Verdict of the analysis"));
   // The Schematron requires sentences in an element with a name.
-  Wording why = words.composed(result.why);
-  why.text = fmt::format("{}: {}", words.known(to_string(result.verdict)), why.text);
-  add_words(verdict, "dcc:description", why);
-  for (const std::string& note : result.diagnostics.notes) {
+  add_words(verdict, "dcc:description",
+            words("{verdict}: {why}", word_of(kVerdicts, to_string(result.verdict)), result.why));
+  for (const Message& note : result.diagnostics.notes) {
     XmlElement metadatum = add_metadatum(list, "abc_note", words("Note of the analysis"));
-    add_words(metadatum, "dcc:description", words.composed(note));
+    add_words(metadatum, "dcc:description", words(note));
   }
   if (data.held_out_norm) add_held_out_norm(list, words, *data.held_out_norm);
 }

@@ -10,7 +10,7 @@ namespace abcal {
 
 /// Whether the item was adjusted before or after; empty where it was not adjusted.
 struct ItemState {
-  std::string words;   ///< "as found"
+  Message words;       ///< "as found"
   std::string status;  ///< Name in the schema: "beforeAdjustment".
 };
 

@@ -260,8 +260,7 @@ void add_further_outputs(XmlElement& results, const Words& words, const Calibrat
   for (const auto& [about, found] : further_outputs(result)) {
     std::vector<Quantity> values;
     for (const auto& [name, quantity] : found) values.push_back(quantity);
-    add_values(results, words, ref_type_of(about.key), words.as_given(words.known(about.heading)),
-               list_of(about.symbols, values));
+    add_values(results, words, ref_type_of(about.key), words(about.heading), list_of(about.symbols, values));
   }
 }
 
@@ -345,7 +344,7 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
     XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
               words("No numbers are given, since the run gave none that may be used: {why}",
-                    words.composed(run.data.result().why).text));
+                    run.data.result().why));
     return;
   }
   add_si(results, words, stated);
@@ -358,8 +357,7 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
   for (const DerivedGroup& group : stated.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
     if (!group.name.starts_with("sensitivity [")) {
-      add_derived_group(results, words, stated, group,
-                        {ref_type_of(group.name), words.as_given(words.known(group.words))});
+      add_derived_group(results, words, stated, group, {ref_type_of(group.name), words(group.words)});
       continue;
     }
     const std::string& own = group.quantities.front().value.unit;
@@ -385,7 +383,7 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   XmlElement measurement = measurements.add("dcc:measurementResult");
   measurement.attribute("refType", "abc_calibration");
   std::string name = words("Calibration by rotations in gravity (ABC protocol)").text;
-  if (!state.words.empty()) name += ", " + words.known(state.words);
+  if (!state.words.empty()) name += ", " + words(state.words).text;
   if (certificate.draft()) name = words("DRAFT").text + ": " + name;
   add_words(measurement, "dcc:name", words.as_given(name));
   (void)add_methods(measurement, certificate, run.data);
@@ -401,8 +399,9 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
 void add_measurement_results(XmlElement& root, const Certificate& certificate) {
   XmlElement measurements = root.add("dcc:measurementResults");
   if (certificate.as_found) {
-    add_measurement(measurements, certificate, *certificate.as_found, {"as found", "beforeAdjustment"}, {});
-    add_measurement(measurements, certificate, certificate.run, {"as left", "afterAdjustment"},
+    add_measurement(measurements, certificate, *certificate.as_found,
+                    {Message("as found"), "beforeAdjustment"}, {});
+    add_measurement(measurements, certificate, certificate.run, {Message("as left"), "afterAdjustment"},
                     certificate.shifts);
   } else {
     add_measurement(measurements, certificate, certificate.run, {}, {});

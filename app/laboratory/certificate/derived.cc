@@ -78,7 +78,7 @@ class Deriver {
   }
 
   /// One quantity for each axis or pair.
-  DerivedGroup triple(const std::string& name, const std::string& words, const std::string& unit,
+  DerivedGroup triple(const std::string& name, const Message& words, const std::string& unit,
                       const std::array<const char*, 3>& of,
                       const std::function<Real(std::size_t)>& value) const {
     DerivedGroup group{name, words, {}};
@@ -126,8 +126,8 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
   const Inputs& in = deriver.inputs();
   DerivedGroup group = deriver.triple(
       "transverse_azimuth",
-      "Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
-      "from z towards x, of w from x towards y",
+      Message("Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
+              "from z towards x, of w from x towards y"),
       "degree", kOutputNames,
       [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
   for (std::size_t j = 0; j < 3; ++j) {
@@ -139,7 +139,7 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
   return group;
 }
 
-DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, const std::string& words,
+DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, const Message& words,
                               const std::string& unit, const Real& per) {
   DerivedGroup group{name, words, {}};
   for (std::size_t j = 0; j < 3; ++j) {
@@ -184,24 +184,23 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   const Real one_per_gravity = Real(1.0) / in.g_loc;
 
   std::vector<DerivedGroup> groups;
-  groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units", per_si(unit),
-                                    one_per_gravity));
-  groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units", per_si(unit),
-                                  kOutputNames,
+  groups.push_back(sensitivity_rows(deriver, "sensitivity", Message("Sensitivity matrix in SI units"),
+                                    per_si(unit), one_per_gravity));
+  groups.push_back(deriver.triple("intrinsic_sensitivity", Message("Intrinsic sensitivity in SI units"),
+                                  per_si(unit), kOutputNames,
                                   [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
   groups.push_back(deriver.triple(
       "transverse_sensitivity",
-      "Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
-      "contains "
-      "the mounting",
+      Message("Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
+              "contains the mounting"),
       "%", kOutputNames, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
   mend_zero(groups.back(), result, 100.0);
   groups.push_back(azimuth(deriver, groups.back()));
   groups.push_back(deriver.triple(
-      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kOutputNames,
-      [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
+      "misalignment", Message("Angle between the sensitive direction and its platter axis"), "mrad",
+      kOutputNames, [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
   mend_zero(groups.back(), result, 1e3);
-  groups.push_back(deriver.triple("non_orthogonality", "Intrinsic angle minus 90 degrees", "mrad",
+  groups.push_back(deriver.triple("non_orthogonality", Message("Intrinsic angle minus 90 degrees"), "mrad",
                                   kOutputPairs, [&](std::size_t j) {
                                     const std::size_t k = (j + 1) % 3;
                                     // asin would lose digits near 90 degrees of angle; the angle from a right
@@ -210,13 +209,15 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                     return Real(-1e3 * atan2(cosine, sqrt(Real(1.0 - cosine * cosine))));
                                   }));
   groups.push_back(deriver.triple(
-      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg", kOutputNames,
+      "bias", Message("Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2"), "mg",
+      kOutputNames,
       [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
   for (const SensitivityUnit& wanted : units) {
     const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
-    const std::string words = wanted.per_standard_gravity ? "Sensitivity in " + wanted.name +
-                                                                ", g_n = 9.80665 m/s2 (standard gravity)"
-                                                          : "Sensitivity in " + wanted.name;
+    const Message words =
+        wanted.per_standard_gravity
+            ? Message("Sensitivity in {unit}, g_n = 9.80665 m/s2 (standard gravity)", wanted.name)
+            : Message("Sensitivity in {unit}", wanted.name);
     DerivedGroup group =
         deriver.triple("intrinsic_sensitivity", words, wanted.name, kOutputNames,
                        [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity * factor); });

@@ -24,7 +24,7 @@ struct DerivedQuantity {
 /// Several alike, one for each axis or pair of axes.
 struct DerivedGroup {
   std::string name;  ///< "transverse_sensitivity"
-  std::string words;
+  Message words;
   std::vector<DerivedQuantity> quantities;
 };
 

@@ -140,11 +140,9 @@ void add_item_quantities(XmlElement& item, const Words& words, const ReportData&
     add_words(quantity, "dcc:name", name);
     quantity.add("dcc:noQuantity").add("dcc:content", text);
   };
-  for (const ItemFact& fact : kItemSettings)
-    add("abc_setting", words.as_given(words.known(fact.words)), data.label(fact.label));
+  for (const ItemFact& fact : kItemSettings) add("abc_setting", words(fact.words), data.label(fact.label));
   add("abc_axes", words("u, v, w along"), data.record.expected.mounting);
-  for (const ItemFact& fact : kItemMounting)
-    add(kMountingRefType, words.as_given(words.known(fact.words)), data.label(fact.label));
+  for (const ItemFact& fact : kItemMounting) add(kMountingRefType, words(fact.words), data.label(fact.label));
 }
 
 Section equation_section(const PageSource& from, xmlNode* measurement) {

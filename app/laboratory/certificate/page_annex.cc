@@ -71,7 +71,10 @@ std::string quantity_words(const PageSource& from, std::string name) {
   const std::string axis = name.substr(last + 1);
   name.resize(last);
   std::replace(name.begin(), name.end(), '_', ' ');
-  return from.words.known(name) + " " + axis;
+  static constexpr Term kNames[]{"sensitivity",  "intrinsic sensitivity",  "intrinsic angle",
+                                 "offset",       "transverse sensitivity", "transverse azimuth",
+                                 "misalignment", "non orthogonality",      "bias"};
+  return from.words(word_of(kNames, name)).text + " " + axis;
 }
 
 std::string symbol_or_words(const PageSource& from, const std::string& name) {

@@ -48,9 +48,8 @@ bool is_prefix(std::string_view word) {
 
 std::string typeset_number(std::string_view decimal, const Words& words) {
   const std::size_t e = std::min(decimal.find('e'), decimal.size());
-  std::string text(decimal.substr(0, e));
+  std::string text = words("{number}", Number{std::string(decimal.substr(0, e))}).text;
   replace_all(text, "-", kMinus);
-  replace_all(text, ".", words(".").text);
   if (e == decimal.size()) return text;
   return text + " × 10" + superscript(decimal.substr(e + 1));
 }

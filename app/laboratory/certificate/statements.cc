@@ -22,8 +22,8 @@ Statement plain(std::string ref_type, Wording title, Wording text) {
 }
 
 /// Sentences behind a first one, in its language.
-Wording with_reasons(Wording head, const std::vector<std::string>& reasons) {
-  for (const std::string& reason : reasons) head.text += " " + reason + ".";
+Wording with_reasons(const Words& words, Wording head, const std::vector<Message>& reasons) {
+  for (const Message& reason : reasons) head.text += " " + words(reason).text + ".";
   return head;
 }
 
@@ -31,13 +31,14 @@ Statement traceability(const Certificate& certificate) {
   const Words& words = certificate.words;
   const Wording title = words("Metrological traceability");
   if (!certificate.not_traceable.empty())
-    return plain("abc_traceability", title,
-                 with_reasons(words("Metrological traceability is not claimed:"), certificate.not_traceable));
+    return plain(
+        "abc_traceability", title,
+        with_reasons(words, words("Metrological traceability is not claimed:"), certificate.not_traceable));
   Wording text = words("The results are traceable to the International System of Units (SI):");
   for (const Equipment& one : certificate.laboratory.equipment) {
     if (one.quantity == "other") continue;
     text.text += " " + words("{quantity} by {name} {serial_number}, certificate {certificate} of {issuer};",
-                             words.known(one.quantity), one.name, one.serial_number, one.certificate,
+                             word_of(kQuantities, one.quantity), one.name, one.serial_number, one.certificate,
                              one.certificate_issuer)
                            .text;
   }
@@ -100,8 +101,8 @@ void add_uncertainty(std::vector<Statement>& statements, const Certificate& cert
   const ReportData& data = certificate.run.data;
   if (!data.budget || !certificate.run.has_numbers()) return;
   std::string left_out;
-  for (const std::string& source : data.budget->not_covered)
-    left_out += (left_out.empty() ? "" : "; ") + words.known(source);
+  for (const Message& source : data.budget->not_covered)
+    left_out += (left_out.empty() ? "" : "; ") + words(source).text;
   statements.push_back(plain("abc_notCovered", words("What the uncertainties leave out"),
                              words("Not part of the stated uncertainties: {effects}.", left_out)));
 }
@@ -124,9 +125,9 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
   for (const std::string& unit : units) {
     const UnitInDsi in = unit_in_dsi(unit, certificate.run.data.result().g_loc.value);
     if (in.own && said.insert(in.own->text()).second && !in.definition.empty()) {
-      Statement statement = plain("abc_unit", words("Unit {unit}", unit),
-                                  words("Definition: {definition}", words.composed(in.definition).text));
-      statement.non_si_definition = words.composed(in.definition).text;
+      Statement statement =
+          plain("abc_unit", words("Unit {unit}", unit), words("Definition: {definition}", in.definition));
+      statement.non_si_definition = words(in.definition).text;
       statement.non_si_unit = in.own->text();
       statements.push_back(statement);
     }
@@ -225,7 +226,7 @@ void add_warnings(std::vector<Statement>& statements, const Certificate& certifi
   if (certificate.draft())
     statements.push_back(
         plain("abc_draft", words("DRAFT"),
-              with_reasons(words("DRAFT: this certificate is not issued and may not be used as one."),
+              with_reasons(words, words("DRAFT: this certificate is not issued and may not be used as one."),
                            certificate.reservations)));
   if (certificate.training())
     statements.push_back(plain(
@@ -236,7 +237,7 @@ void add_warnings(std::vector<Statement>& statements, const Certificate& certifi
   if (!data.simulated.empty()) {
     std::string of;
     for (const std::string& instrument : data.simulated)
-      of += (of.empty() ? "" : ", ") + words.known(instrument);
+      of += (of.empty() ? "" : ", ") + words(word_of(kRoles, instrument)).text;
     statements.push_back(plain(
         "abc_simulated", words("SIMULATED"),
         words("SIMULATED: these instruments were not real: {instruments}. Nothing was calibrated.", of)));

@@ -22,42 +22,51 @@ bool holds_on(const Equipment& equipment, Date day) {
   return equipment.performed && *equipment.performed <= day && equipment.due && day <= *equipment.due;
 }
 
-std::string words_for(const Equipment& equipment) {
-  return fmt::format("\"{} {}\", certificate \"{}\", performed {}, due {}", equipment.name,
-                     equipment.serial_number, equipment.certificate,
-                     equipment.performed ? format_date(*equipment.performed) : "not stated",
-                     equipment.due ? format_date(*equipment.due) : "not stated");
+Message date_words(const std::optional<Date>& date) {
+  return date ? Message("{date}", format_date(*date)) : Message("not stated");
+}
+
+Message words_for(const Equipment& equipment) {
+  return {"\"{name}\", certificate \"{certificate}\", performed {performed}, due {due}",
+          equipment.name + " " + equipment.serial_number, equipment.certificate,
+          date_words(equipment.performed), date_words(equipment.due)};
+}
+
+Message roles(const std::vector<std::string>& instruments) {
+  std::vector<Message> all;
+  for (const std::string& one : instruments) all.push_back(word_of(kRoles, one));
+  return in_sequence(all, ", ");
 }
 
 /// A quantity that needs a calibration that holds on the day of the run.
 struct Chain {
-  std::string quantity;
+  Term quantity;
   /// Serial numbers of the instruments that must be calibrated; empty: any equipment will do.
   std::string serial_numbers = {};
 };
 
-void look_for(const Chain& chain, const LaboratoryFile& laboratory, Date day, const std::string& which,
-              std::vector<Problem>& problems) {
+void look_for(const Chain& chain, const LaboratoryFile& laboratory, Date day, const Message& which,
+              std::vector<Reason>& problems) {
   std::vector<Equipment> calibrated;
-  std::string found;
+  std::vector<Message> found;
   for (const Equipment& one : laboratory.equipment) {
     if (one.quantity != chain.quantity) continue;
     if (holds_on(one, day)) calibrated.push_back(one);
-    found += (found.empty() ? "" : "; ") + words_for(one);
+    found.push_back(words_for(one));
   }
   const std::string missing =
-      serial_number_without_equipment(calibrated, chain.quantity, chain.serial_numbers);
+      serial_number_without_equipment(calibrated, std::string(chain.quantity), chain.serial_numbers);
   if (!calibrated.empty() && missing.empty()) return;
   const std::string date = format_date(day);
   problems.push_back(
-      {which + ", " + chain.quantity, found.empty() ? "no calibrated equipment" : found,
+      {which, chain.quantity, found.empty() ? Message("no calibrated equipment") : in_sequence(found),
        missing.empty()
-           ? fmt::format("equipment for {} with a calibration that was performed before and holds on {}",
-                         chain.quantity, date)
-           : fmt::format(
-                 "equipment for {} with serial number \"{}\" and a calibration that was performed before "
-                 "and holds on {}",
-                 chain.quantity, missing, date)});
+           ? Message(
+                 "equipment for {quantity} with a calibration that was performed before and holds on {day}",
+                 chain.quantity, date)
+           : Message("equipment for {quantity} with serial number {serial_number} and a calibration that was "
+                     "performed before and holds on {day}",
+                     chain.quantity, quoted(missing), date)});
 }
 
 /// Serial numbers that the instrument of a role reported; empty if it reported none.
@@ -80,22 +89,21 @@ std::string stated_serial_number(const StoredRun& run, const std::string& role) 
 /// Requires the serial number of an instrument whose calibration is part of the traceability.
 /// @param section  section of the bench file in which the serial number can be stated
 void require_serial_number(const ReportData& data, const std::string& role, const std::string& section,
-                           const std::string& where, std::vector<Problem>& problems) {
+                           const Message& which, Term part, std::vector<Reason>& problems) {
   if (!serial_numbers_of(data, role).empty()) return;
-  problems.push_back({where, "no serial number, neither reported by the instrument nor stated",
-                      fmt::format("[{}] serial_number in the bench file before the run", section)});
+  problems.push_back({which, part, Message("no serial number, neither reported by the instrument nor stated"),
+                      Message("[{role}] serial_number in the bench file before the run", section)});
 }
 
 /// The quantities that need a calibration. Stage and voltmeter must have serial numbers.
-std::vector<Chain> chains_of(const ReportData& data, const std::string& which,
-                             std::vector<Problem>& problems) {
+std::vector<Chain> chains_of(const ReportData& data, const Message& which, std::vector<Reason>& problems) {
   std::vector<Chain> chains{{"angle", serial_numbers_of(data, "stage")}, {"gravity"}, {"temperature"}};
-  require_serial_number(data, "stage", "stage", which + ", stage", problems);
+  require_serial_number(data, "stage", "stage", which, "stage", problems);
   if (!measured_by_voltmeter(data)) return chains;
   chains.push_back({"voltage", serial_numbers_of(data, "accelerometer")});
   require_serial_number(data, "accelerometer",
-                        data.is_one_of_several() ? "item.accelerometer" : "accelerometer",
-                        which + ", voltmeter", problems);
+                        data.is_one_of_several() ? "item.accelerometer" : "accelerometer", which, "voltmeter",
+                        problems);
   return chains;
 }
 
@@ -164,18 +172,20 @@ std::vector<CalibrationValue> values_of(const ReportData& data, const Equipment&
 
 /// Requires that local gravity is that of the equipment for gravity: its source names this equipment, and its
 /// value is that of the calibration.
-void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Date day,
-                   const std::string& where, std::vector<Problem>& problems) {
+void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Date day, const Message& which,
+                   std::vector<Reason>& problems) {
+  const Message part("local gravity");
   const LocalGravity& g_loc = data.record.g_loc;
   if (g_loc.source.starts_with("formula")) {
-    problems.push_back(
-        {where, fmt::format("by \"{}\"", g_loc.source), "a survey: a formula has no calibration"});
+    problems.push_back({which, part, Message("by {source}", quoted(g_loc.source)),
+                        Message("a survey: a formula has no calibration")});
     return;
   }
   const auto holds = [&](const Equipment& one) { return one.quantity == "gravity" && holds_on(one, day); };
   // If none holds, which is reported already, g_loc is compared with all of them.
   const bool one_holds = std::any_of(laboratory.equipment.begin(), laboratory.equipment.end(), holds);
-  std::vector<std::string> known, stated;
+  std::vector<std::string> known;
+  std::vector<Message> stated;
   for (const Equipment& one : laboratory.equipment) {
     if (one.quantity != "gravity" || (one_holds && !holds(one))) continue;
     known.push_back(one.certificate);
@@ -185,24 +195,25 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
     for (const CalibrationValue& value : values_of(data, one)) {
       if (value.unit != "m/s2") continue;
       if (agrees(g_loc, value)) return;
-      stated.push_back(fmt::format("g_loc = {} m/s2, U = {:g} m/s2, k = {:g}", value.value,
-                                   value.expanded_uncertainty, value.coverage_factor));
+      stated.push_back(Message("g_loc = {value} m/s2, U = {expanded:g} m/s2, k = {factor:g}", value.value,
+                               value.expanded_uncertainty, value.coverage_factor));
     }
     if (stated.size() == before) return;  // It states no value: the source names it.
   }
   if (known.empty()) return;  // The missing calibration has been reported already.
   if (!stated.empty()) {
-    problems.push_back({where,
-                        fmt::format("g_loc = {} m/s2, U = {:g} m/s2, k = {:g}", g_loc.value_mps2,
-                                    g_loc.expanded_uncertainty_mps2, g_loc.coverage_factor),
-                        fmt::format("as its source states it: {}", fmt::join(stated, " / "))});
+    problems.push_back({which, part,
+                        Message("g_loc = {value} m/s2, U = {expanded:g} m/s2, k = {factor:g}",
+                                g_loc.value_mps2, g_loc.expanded_uncertainty_mps2, g_loc.coverage_factor),
+                        Message("as its source states it: {values}", in_sequence(stated, " / "))});
     return;
   }
   problems.push_back(
-      {where, g_loc.source.empty() ? "no source" : fmt::format("source \"{}\"", g_loc.source),
-       fmt::format("[bench] g_loc_mps2 from a record of the register, or a g_loc_source that names the "
-                   "certificate of the equipment for gravity: \"{}\"",
-                   fmt::join(known, "\" / \""))});
+      {which, part,
+       g_loc.source.empty() ? Message("no source") : Message("source \"{source}\"", g_loc.source),
+       Message("[bench] g_loc_mps2 from a record of the register, or a g_loc_source that names the "
+               "certificate of the equipment for gravity: {certificates}",
+               fmt::format("\"{}\"", fmt::join(known, "\" / \"")))});
 }
 
 }  // namespace
@@ -220,36 +231,38 @@ std::string serial_number_without_equipment(const std::vector<Equipment>& equipm
   return {};
 }
 
-std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
-                                          const std::string& which) {
-  std::vector<Problem> problems;
+std::vector<Reason> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
+                                         const Message& which) {
+  std::vector<Reason> problems;
   if (!data.run) return problems;
   if (!data.simulated.empty())
-    problems.push_back({which + ", instruments",
-                        fmt::format("simulated: {}", fmt::join(data.simulated, ", ")),
-                        "real ones, no [simulation] in the bench file, no serial number of the emulator: "
-                        "nothing was calibrated"});
+    problems.push_back(
+        {which, Message("instruments"), Message("simulated: {instruments}", roles(data.simulated)),
+         Message("real ones, no [simulation] in the bench file, no serial number of the emulator: "
+                 "nothing was calibrated")});
   if (!data.label("replay.of").empty())
-    problems.push_back({which, fmt::format("repeated from the recording of \"{}\"", data.label("replay.of")),
-                        "a measured run"});
+    problems.push_back({which,
+                        {},
+                        Message("repeated from the recording of {source}", quoted(data.label("replay.of"))),
+                        Message("a measured run")});
   if (const auto day = parse_date(data.ended_utc())) {
     for (const Chain& chain : chains_of(data, which, problems))
       look_for(chain, laboratory, *day, which, problems);
-    check_gravity(laboratory, data, *day, which + ", local gravity", problems);
+    check_gravity(laboratory, data, *day, which, problems);
   } else {
-    problems.push_back({which, "no date", "a run that says when it was made"});
+    problems.push_back({which, {}, Message("no date"), Message("a run that says when it was made")});
   }
-  if (const std::string words = default_effects_words(data.record.tolerances, Advice::kNone); !words.empty())
-    problems.push_back({which + ", effects", words, "a source for each"});
-  if (const std::vector<std::string> bare = effects_without_source(data.record.tolerances); !bare.empty())
-    problems.push_back({which + ", effects",
-                        fmt::format("stated without a source: {}", fmt::join(bare, "; ")),
-                        "a source for each: a table with value and source in place of the number"});
-  if (const std::vector<std::string> unstated = unstated_voltmeter(data); !unstated.empty())
+  if (const Message words = default_effects_words(data.record.tolerances, Advice::kNone); !words.empty())
+    problems.push_back({which, Message("effects"), words, Message("a source for each")});
+  if (const std::vector<Message> bare = effects_without_source(data.record.tolerances); !bare.empty())
+    problems.push_back({which, Message("effects"), Message("stated without a source: {effects}", bare),
+                        Message("a source for each: a table with value and source in place of the number")});
+  if (const std::vector<Term> unstated = unstated_voltmeter(data); !unstated.empty())
     problems.push_back(
-        {which + ", voltmeter", fmt::format("not stated: {}", fmt::join(unstated, ", ")),
-         "[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its source (0 where "
-         "the other covers it)"});
+        {which, Message("voltmeter"),
+         Message("not stated: {effects}", Joined{{unstated.begin(), unstated.end()}, ", "}),
+         Message("[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its source (0 where "
+                 "the other covers it)")});
   return problems;
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "app/laboratory/certificate/laboratory_file.h"
+#include "app/laboratory/certificate/reason.h"
 #include "app/results/analysis/report_data.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/record/run_file.h"
@@ -17,8 +18,8 @@ namespace abcal {
 /// of exactly this instrument, local gravity by formula or from another source than the equipment for
 /// gravity, an effect whose size is a default or has no source.
 /// @param which  name of the run in the reasons: "run", "as-found run"
-std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
-                                          const std::string& which);
+std::vector<Reason> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
+                                         const Message& which);
 
 /// The first of an instrument's serial numbers ("123/456", or "123 + 456" if it names several) that no
 /// equipment of a quantity has exactly; empty: each has one, or one piece of equipment has all of them

@@ -34,29 +34,23 @@ class Words {
   Wording operator()(const Message& message) const;
   /// A text of the laboratory, which writes in the language of its certificate.
   Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
-  /// A text that another part of the program composed in English: a verdict, a note, a problem. Sentences of
-  /// the table are found with their values in them, also several joined by "; "; a part that the table lacks
-  /// stays unchanged, and then the text is marked as being in no language. What stands in quotes is a
-  /// person's and stays unchanged: whoever composes a text puts names and other texts of persons in quotes.
-  Wording composed(std::string_view english) const;
-
-  /// A sentence or word of the program in the language; unchanged if the file does not have it. Never for a
-  /// text that a person may have written.
-  std::string known(std::string_view english) const;
 
   /// Codes of the available languages: "en" and those with a file.
   static std::vector<std::string> languages();
 
  private:
-  struct Translation {
-    std::string text;
-    bool is_complete = false;  ///< Every part was found.
-  };
-  Translation translated(std::string_view english) const;
-
   std::string language_;
   const std::unordered_map<std::string, std::string>* table_ = nullptr;  ///< Null: English.
 };
+
+/// Words that come as text, from files and tables of the program.
+inline constexpr Term kQuantities[]{"angle",    "gravity",  "voltage", "temperature",
+                                    "humidity", "pressure", "level",   "other"},
+    kRoles[]{"stage", "accelerometer"}, kDistributions[]{"normal", "rectangular", "triangular", "u-shaped"},
+    kPlaces[]{"laboratory", "customer", "laboratoryBranch", "customerBranch"},
+    kConformityWords[]{"pass", "conditionalPass", "conditionalFail", "fail"},
+    kVerdicts[]{"usable", "doubtful", "not_usable"},
+    kRunStates[]{"running", "interrupted", "complete", "abandoned"};
 
 /// Sentences that a language's file lacks.
 std::vector<std::string> missing_in_language(const std::string& language,

@@ -35,10 +35,11 @@ std::string state_of(const Words& words, const lab::CertificateRecord& record) {
 
 /// A sentence on which record was withdrawn, when and why.
 Section withdrawn_section(const Words& words, const std::vector<lab::Withdrawal>& withdrawn) {
+  static constexpr Term kKinds[]{"calibration", "certificate"};
   Section section{words("What was withdrawn").text, {}};
   for (const lab::Withdrawal& one : withdrawn) {
     FactList facts;
-    facts.facts = {{words("Record").text, words.known(one.kind) + " " + one.name},
+    facts.facts = {{words("Record").text, words(word_of(kKinds, one.kind)).text + " " + one.name},
                    {words("Withdrawn on").text, one.date()},
                    {words("Reason").text, one.reason}};
     section.blocks.emplace_back(std::move(facts));

@@ -23,7 +23,7 @@ namespace abcal {
 
 namespace {
 
-CalibrationResult refused(const RunRecord& record, const std::string& estimator, const char* why) {
+CalibrationResult refused(const RunRecord& record, const std::string& estimator, const Message& why) {
   CalibrationResult result;
   result.estimator = estimator;
   result.source = record.source;
@@ -38,7 +38,7 @@ CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) 
   try {
     return estimator.fit(record);
   } catch (const UnusableData& error) {
-    return refused(record, estimator.name, error.what());
+    return refused(record, estimator.name, error.message());
   }
 }
 
@@ -75,50 +75,49 @@ sim::TrueLineResponse mean_line_response(sim::ItemTruth truth, const sim::StageT
 
 /// Adds the checks and notes that concern the run as a whole.
 void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record, CalibrationResult& result) {
-  const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
+  const auto times = [](int n) { return n == 1 ? Message("once") : Message("{count} times", n); };
   apply_checks(of_the_record, record, result);
   const EffectSizes sizes = result.stage_record ? sizes_with_record(record.tolerances) : record.tolerances;
-  if (std::string words = default_effects_words(sizes, Advice::kNone); !words.empty())
+  if (Message words = default_effects_words(sizes, Advice::kNone); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
-  for (std::string& words : uncovered_effects_words(sizes, Advice::kNone))
+  for (Message& words : uncovered_effects_words(sizes, Advice::kNone))
     result.diagnostics.notes.push_back(std::move(words));
   if (backlash_is_left(record) && find_estimator(result.estimator).needs_angles)
     result.diagnostics.notes.push_back(backlash_words(record.tolerances.zero));
   if (record.order_assumed && result.verdict != Verdict::kNotUsable) {
-    constexpr const char* kOrder =
+    constexpr Term kOrder{
         "the file has no time_s: the order of its rows is taken as the order of time, on which drift, "
         "hysteresis "
         "and slow noise depend. If it is another, the uncertainties are too small. Add time_s, or the line "
-        "\"# row_order: time\"";
-    result.diagnostics.notes.emplace_back(kOrder);
-    result.why += fmt::format("; {}", kOrder);
+        "\"# row_order: time\""};
+    result.diagnostics.notes.push_back(kOrder);
+    result.why = in_sequence({result.why, kOrder});
   }
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
-        fmt::format("the run was interrupted and resumed {}; each time the axes were homed again, and the "
-                    "repeated last angle agreed",
-                    times(record.continuations)));
+        Message("the run was interrupted and resumed {times}; each time the axes were homed again, and the "
+                "repeated last angle agreed",
+                times(record.continuations)));
   }
   if (record.reconnections > 0) {
     result.diagnostics.notes.push_back(
-        fmt::format("the port of an instrument vanished and came back {}; each time an instrument of "
-                    "the same model answered, with the same serial number where it has one, and the repeated "
-                    "last angle agreed",
-                    times(record.reconnections)));
+        Message("the port of an instrument vanished and came back {times}; each time an instrument of "
+                "the same model answered, with the same serial number where it has one, and the repeated "
+                "last angle agreed",
+                times(record.reconnections)));
   }
 }
 
 /// Checks the sizes that another estimator rests on: the joint fit of the same readings may contradict them.
 Check sizes_check(const CalibrationResult& joint) {
-  const std::vector<std::string>& contradicted = joint.joint->contradicted_sizes;
+  const std::vector<Message>& contradicted = joint.joint->contradicted_sizes;
   Check check{"stated sizes of effects",
               static_cast<double>(contradicted.size()),
               0.0,
               "contradicted",
               contradicted.empty(),
               {}};
-  if (!check.passed)
-    check.words = fmt::format("the joint fit contradicts what is stated: {}", fmt::join(contradicted, "; "));
+  if (!check.passed) check.words = Message("the joint fit contradicts what is stated: {sizes}", contradicted);
   return check;
 }
 

@@ -35,7 +35,7 @@ std::vector<std::pair<std::string, std::string>> budget_sources(const Budget& bu
                               [&](const auto& known) { return known.first == line.source; });
     if (found == inputs.end()) found = inputs.insert(inputs.end(), {line.source, {}});
     std::vector<std::string>& names = found->second;
-    const std::string& name = line.key.empty() ? line.input : line.key;
+    const std::string name = line.key.empty() ? line.input.english() : line.key;
     if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
   }
   std::vector<std::pair<std::string, std::string>> out;

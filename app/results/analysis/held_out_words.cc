@@ -14,30 +14,31 @@ namespace {
 
 /// A probability below this is called more than chance: the level of all tests of a verdict together.
 constexpr double kMoreThanChance = 1e-5;
-constexpr const char* kLimits =
-    "the check is blind to the orientation of the matrix and to F_X, and it is not independent of g_loc";
+constexpr Term kLimits{
+    "the check is blind to the orientation of the matrix and to F_X, and it is not independent of g_loc"};
 
 }  // namespace
 
-std::string held_out_words(const HeldOutNorm& norm) {
-  // Each sentence is one of the certificates' tables of languages.
-  std::vector<std::string> sentences{
-      fmt::format("|a| on {} held-out poses, each predicted by a joint fit of the others ({} folds)",
-                  norm.poses, norm.folds),
-      fmt::format("by the customer's equation a = M (r - b) it deviates from g_loc by {:.1e} g_loc (rms), at "
-                  "most by {:.1e} g_loc",
-                  norm.rms, norm.largest),
-      fmt::format("with the fitted non-linearity and drift of the item by {:.1e} g_loc (rms), where the "
-                  "stated uncertainties give {:.1e} g_loc, which is {:.2f} times its standard uncertainty "
-                  "(rms)",
-                  norm.rms_of_model, norm.rms_expected, norm.rms_in_u)};
+Message held_out_words(const HeldOutNorm& norm) {
+  std::vector<Message> sentences{
+      Message("|a| on {poses} held-out poses, each predicted by a joint fit of the others ({folds} folds)",
+              norm.poses, norm.folds),
+      Message("by the customer's equation a = M (r - b) it deviates from g_loc by {rms:.1e} g_loc (rms), at "
+              "most by {largest:.1e} g_loc",
+              norm.rms, norm.largest),
+      Message("with the fitted non-linearity and drift of the item by {rms:.1e} g_loc (rms), where the "
+              "stated uncertainties give {expected:.1e} g_loc, which is {times:.2f} times its standard "
+              "uncertainty "
+              "(rms)",
+              norm.rms_of_model, norm.rms_expected, norm.rms_in_u)};
   if (norm.probability < kMoreThanChance)
-    sentences.push_back(fmt::format(
-        "this is MORE THAN CHANCE (probability {:.1g}), so that the stated uncertainties are too small or "
-        "the model does not describe this item",
-        norm.probability));
-  sentences.emplace_back(kLimits);
-  return fmt::format("{}", fmt::join(sentences, "; "));
+    sentences.push_back(
+        Message("this is MORE THAN CHANCE (probability {probability:.1g}), so that the stated uncertainties "
+                "are too small or "
+                "the model does not describe this item",
+                norm.probability));
+  sentences.push_back(kLimits);
+  return in_sequence(sentences);
 }
 
 nlohmann::ordered_json held_out_json(const HeldOutNorm& norm) {
@@ -49,7 +50,7 @@ nlohmann::ordered_json held_out_json(const HeldOutNorm& norm) {
           {"rms_expected", json_number(norm.rms_expected)},
           {"rms_in_u", json_number(norm.rms_in_u)},
           {"probability", json_number(norm.probability)},
-          {"limits", kLimits}};
+          {"limits", kLimits.english()}};
 }
 
 }  // namespace abcal

@@ -8,7 +8,7 @@
 namespace abcal {
 
 /// |a| on poses held out of the fit, what is expected, and what the check cannot see, in sentences.
-std::string held_out_words(const HeldOutNorm& norm);
+Message held_out_words(const HeldOutNorm& norm);
 
 /// The same as members of an object.
 nlohmann::ordered_json held_out_json(const HeldOutNorm& norm);

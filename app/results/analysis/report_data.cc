@@ -35,8 +35,8 @@ bool measured_by_voltmeter(const ReportData& data) {
   return find_in(driver_catalogue().accelerometers, driver).traits.reads_volts;
 }
 
-std::vector<std::string> unstated_voltmeter(const ReportData& data) {
-  std::vector<std::string> words;
+std::vector<Term> unstated_voltmeter(const ReportData& data) {
+  std::vector<Term> words;
   if (!measured_by_voltmeter(data)) return words;
   for (const EffectSizeKey& key : effect_size_keys()) {
     if (key.key.starts_with("voltmeter_") && !data.record.tolerances.sources.contains(key.key))
@@ -158,7 +158,7 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
       result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
     data.budget = make_budget(data.record, result);
     data.held_out_norm = held_out(data.record, result);
-    for (std::string& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(std::move(words));
+    for (const Term& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(words);
   }
   return data;
 }

@@ -70,7 +70,7 @@ bool measured_by_voltmeter(const ReportData& data);
 
 /// Properties of the voltmeter without a stated uncertainty: "gain of the voltmeter". Empty if no voltmeter
 /// measured.
-std::vector<std::string> unstated_voltmeter(const ReportData& data);
+std::vector<Term> unstated_voltmeter(const ReportData& data);
 
 /// The warnings at the top of every report of the data: not complete, not usable, doubtful, simulated, not
 /// consistent, a bench file that this program cannot read, replayed. Empty: none.

@@ -225,9 +225,9 @@ std::vector<Warning> warnings_of(const AnalysedItem& item, const std::optional<B
     for (const DefaultCost& each : default_costs(sizes, *budget)) costs.emplace_back(each, "");
     add_costly_defaults(costs, result.joint.has_value(), list);
   }
-  for (const std::string& note : further_notes(result, sizes)) list.push_back({note, full});
-  for (std::string& words : uncovered_effects_words(sizes, Advice::kForOperator))
-    list.push_back({std::move(words), kKeysCommand});
+  for (const Message& note : further_notes(result, sizes)) list.push_back({note, full});
+  for (const Message& words : uncovered_effects_words(sizes, Advice::kForOperator))
+    list.push_back({words, kKeysCommand});
   return list;
 }
 
@@ -237,7 +237,7 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
   std::vector<Warning> list;
   add_incomplete(stored, file, list);
   if (run.joint.stage) {
-    for (const std::string& words : run.joint.stage->contradicted_sizes)
+    for (const Message& words : run.joint.stage->contradicted_sizes)
       list.push_back({words, fmt::format("abcal analyse {} --full", file)});
   }
   std::map<std::string_view, std::pair<DefaultCost, std::size_t>> largest;  // by key, with the item from 0
@@ -255,8 +255,8 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
     costs.emplace_back(most.first, fmt::format(" (item {})", most.second + 1));
   std::ranges::stable_sort(costs, std::greater{}, [](const auto& each) { return each.first.cost; });
   add_costly_defaults(costs, true, list);
-  for (std::string& words : uncovered_effects_words(stored.record.tolerances, Advice::kForOperator))
-    list.push_back({std::move(words), kKeysCommand});
+  for (const Message& words : uncovered_effects_words(stored.record.tolerances, Advice::kForOperator))
+    list.push_back({words, kKeysCommand});
   return list;
 }
 

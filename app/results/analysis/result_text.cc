@@ -249,7 +249,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
       fmt::format("{} {} ({} estimator): {}\n", emphasised(stream, Emphasis::kHeading, "Result:"),
                   emphasised(stream, emphasis, verdict_words(result.verdict)), result.estimator, result.why);
   const Diagnostics& d = result.diagnostics;
-  for (const std::string& note : d.notes) text += "  note: " + note + "\n";
+  for (const Message& note : d.notes) text += "  note: " + note + "\n";
   if (result.verdict == Verdict::kNotUsable) return text;  // No numbers without a usable verdict.
 
   if (std::isfinite(result.g_loc.value)) {

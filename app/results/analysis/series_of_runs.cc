@@ -97,7 +97,7 @@ AnalysedItem analyse_series_of_runs(const std::vector<std::string>& files,
   CalibrationResult result = analyse_series(records, {});
   for (std::size_t k = 0; k < records.size(); ++k)
     for (const Check& check : check_record(records[k]))
-      if (!check.passed) object_to(result, fmt::format("{}: {}", loaded.files[k], check.words));
+      if (!check.passed) object_to(result, Message("{run}: {why}", loaded.files[k], check.words));
   return {std::move(loaded.runs.front()), {std::move(result)}};
 }
 

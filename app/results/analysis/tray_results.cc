@@ -145,7 +145,7 @@ void add_stage_text(const TrayStage& stage, std::FILE* stream, std::string& text
     text += fmt::format(
         "  angle errors of experiment {}: rms {:.5f} degree over {:.0f} angles; u at most {:.5f} degree\n",
         experiment, std::sqrt(values[0] / values[2]), values[2], values[1]);
-  for (const std::string& words : stage.contradicted_sizes)
+  for (const Message& words : stage.contradicted_sizes)
     text += fmt::format("  {}\n", emphasised(stream, Emphasis::kWarning, words));
 }
 

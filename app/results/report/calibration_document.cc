@@ -264,7 +264,7 @@ Section method_section(const ReportData& data) {
       "Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation taken into "
       "account. " +
       tolerances_text(record)});
-  if (const std::vector<std::string> defaults = unstated_effects(record.tolerances); !defaults.empty())
+  if (const std::vector<Term> defaults = unstated_effects(record.tolerances); !defaults.empty())
     section.blocks.push_back(Paragraph{fmt::format(
         "Effects whose size is not stated, so default sizes are used: {}.", fmt::join(defaults, "; "))});
   return section;
@@ -306,7 +306,7 @@ Section values_section(const ReportData& data) {
     table.columns.push_back({"k", CellKind::kNumber});
   }
   for (const auto& [about, values] : found_groups(result, QuantityKind::kOutput)) {
-    table.rows.push_back({about.heading});
+    table.rows.push_back({std::string(about.heading)});
     for (const NamedQuantity& output : values) {
       table.rows.push_back(result_row(output));
       if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
@@ -323,8 +323,8 @@ Section values_section(const ReportData& data) {
           : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds to "
                         "a coverage probability of approximately {:g} %",
                         kCoverageFactor, 100.0 * kCoverageProbability))});
-  if (std::vector<std::string> notes = further_notes(result, data.record.tolerances); !notes.empty())
-    section.blocks.push_back(BulletList{std::move(notes)});
+  if (const std::vector<Message> notes = further_notes(result, data.record.tolerances); !notes.empty())
+    section.blocks.push_back(BulletList{{notes.begin(), notes.end()}});
   return section;
 }
 
@@ -714,10 +714,7 @@ Section budget_section(const ReportData& data) {
   for (auto& [source, inputs] : budget_sources(budget))
     sources.facts.emplace_back("Source: " + source, std::move(inputs));
   section.blocks.push_back(std::move(sources));
-  std::string not_covered = "Not covered: ";
-  for (std::size_t i = 0; i < budget.not_covered.size(); ++i)
-    not_covered += (i > 0 ? "; " : "") + budget.not_covered[i];
-  section.blocks.push_back(Paragraph{not_covered + "."});
+  section.blocks.push_back(Paragraph{fmt::format("Not covered: {}.", fmt::join(budget.not_covered, "; "))});
   if (data.held_out_norm)
     section.blocks.push_back(Paragraph{"Check of U by " + held_out_words(*data.held_out_norm) + "."});
   if (!budget.notes.empty()) section.blocks.push_back(BulletList{budget.notes});

@@ -64,7 +64,7 @@ DocumentTable further_table(const CalibrationResult& result) {
                       {{"", CellKind::kSymbol}, {"value", CellKind::kNumber}, {"unit", CellKind::kUnit}},
                       {}};
   for (const auto& [about, values] : further_outputs(result)) {
-    table.rows.push_back({about.heading});
+    table.rows.push_back({std::string(about.heading)});
     for (const auto& [name, quantity] : values)
       table.rows.push_back({name, value_and_u(quantity), quantity.unit});
   }
@@ -122,8 +122,8 @@ Section first_page(const ReportData& data) {
   Section section{"Result", {}};
   add_result(result, section);
   if (result.verdict == Verdict::kNotUsable) {
-    if (std::vector<std::string> notes = further_notes(result, data.record.tolerances); !notes.empty())
-      section.blocks.push_back(BulletList{std::move(notes)});
+    if (const std::vector<Message> notes = further_notes(result, data.record.tolerances); !notes.empty())
+      section.blocks.push_back(BulletList{{notes.begin(), notes.end()}});
     add_mounting(data, section);
     return section;
   }

@@ -196,7 +196,7 @@ std::string budget_text(const RunUncertainty& study) {
   for (const int k : worst_of_each_kind(study.budget.combined)) text += budget_table(study, k);
   text += sources_text(study.budget);
   text += "\nNot covered by this budget:\n";
-  for (const std::string& item : study.budget.not_covered) text += note_lines("- " + item, "  ");
+  for (const Message& item : study.budget.not_covered) text += note_lines("- " + item, "  ");
   for (const std::string& note : study.budget.notes) text += note_lines(note, "  ");
   return text;
 }

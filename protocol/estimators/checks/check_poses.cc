@@ -286,10 +286,11 @@ class PoseProblem {
   }
 
  public:
-  static std::string name_of_change(const PoseChange& change) {
-    if (change.kind == PoseChangeKind::kTurn) return "a turn of the accelerometer or of an axis";
-    return fmt::format("the {} of {}", change.kind == PoseChangeKind::kGain ? "gain" : "offset",
-                       kOutputNames[change.accelerometer]);
+  static Message name_of_change(const PoseChange& change) {
+    if (change.kind == PoseChangeKind::kTurn) return Message("a turn of the accelerometer or of an axis");
+    const std::string output = kOutputNames[change.accelerometer];
+    return change.kind == PoseChangeKind::kGain ? Message("the gain of {output}", output)
+                                                : Message("the offset of {output}", output);
   }
 
  private:
@@ -366,40 +367,41 @@ class PoseProblem {
 // ---- Words -----------------------------------------------------------------------------------------------
 
 /// "between the check poses of two visits, those at the start and those before experiment 2, alpha = 0 ...".
-std::string interval_words(const RunRecord& record, const CheckPoseStudy& study, std::size_t after_visit) {
-  const auto visit_words = [&](const PoseVisit& visit) -> std::string {
-    if (visit.after == 0) return "those at the start";
-    if (visit.after >= record.dwells.size()) return "those at the end";
-    return fmt::format("those before {}", dwell_words(record.dwells[visit.after]));
+Message interval_words(const RunRecord& record, const CheckPoseStudy& study, std::size_t after_visit) {
+  const auto visit_words = [&](const PoseVisit& visit) {
+    if (visit.after == 0) return Message("those at the start");
+    if (visit.after >= record.dwells.size()) return Message("those at the end");
+    return Message("those before {where}", dwell_words(record.dwells[visit.after]));
   };
-  return fmt::format("between the check poses of two visits, {} and {}",
-                     visit_words(study.visits[after_visit]), visit_words(study.visits[after_visit + 1]));
+  return {"between the check poses of two visits, {first} and {second}",
+          visit_words(study.visits[after_visit]), visit_words(study.visits[after_visit + 1])};
 }
 
-std::string size_words(const PoseChange& change, const CheckPoseStudy& study, const std::string& unit) {
+Message size_words(const PoseChange& change, const CheckPoseStudy& study, const std::string& unit) {
   switch (change.kind) {
     case PoseChangeKind::kGain:
-      return fmt::format("changed by {:+.4f} % (standard uncertainty {:.2g} %)", 100.0 * change.size,
-                         100.0 * change.standard_uncertainty);
+      return {"changed by {change:+.4f} % (standard uncertainty {uncertainty:.2g} %)", 100.0 * change.size,
+              100.0 * change.standard_uncertainty};
     case PoseChangeKind::kOffset: {
       const double s = study.sensitivity[static_cast<std::size_t>(change.accelerometer)];
-      return fmt::format("changed by {:+.3g} {} (standard uncertainty {:.2g} {})", s * change.size, unit,
-                         s * change.standard_uncertainty, unit);
+      return {"changed by {change:+.3g} {unit} (standard uncertainty {uncertainty:.2g} {u_unit})",
+              s * change.size, unit, s * change.standard_uncertainty, unit};
     }
     case PoseChangeKind::kTurn:
-      return fmt::format("is {:.3f} degrees (standard uncertainty {:.2g} degrees)",
-                         change.size * 180.0 / std::numbers::pi,
-                         change.standard_uncertainty * 180.0 / std::numbers::pi);
+      return {"is {change:.3f} degrees (standard uncertainty {uncertainty:.2g} degrees)",
+              change.size * 180.0 / std::numbers::pi, change.standard_uncertainty * 180.0 / std::numbers::pi};
   }
   return {};
 }
 
-std::string words_of_change(const RunRecord& record, const CheckPoseStudy& study, const PoseChange& change) {
-  std::string text = fmt::format("{} {} {}", PoseProblem::name_of_change(change),
-                                 size_words(change, study, record.response_unit),
-                                 interval_words(record, study, change.after_visit));
-  if (!change.as_well.empty()) text += fmt::format(", or it is {}", fmt::join(change.as_well, ", or "));
-  return text + ": the result holds for neither before nor after alone";
+Message words_of_change(const RunRecord& record, const CheckPoseStudy& study, const PoseChange& change) {
+  std::vector<Message> as_well;
+  for (const Message& other : change.as_well)
+    as_well.push_back(as_well.empty() ? Message(", or it is {other}", other)
+                                      : Message(", or {other}", other));
+  return {"{change} {size} {interval}{more}: the result holds for neither before nor after alone",
+          PoseProblem::name_of_change(change), size_words(change, study, record.response_unit),
+          interval_words(record, study, change.after_visit), in_sequence(as_well, "")};
 }
 
 Check trend_check(const CheckPoseStudy& study, PoseChangeKind kind, std::size_t output) {
@@ -415,8 +417,8 @@ Check trend_check(const CheckPoseStudy& study, PoseChangeKind kind, std::size_t 
 
 }  // namespace
 
-std::string dwell_words(const DwellRecord& dwell) {
-  return fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
+Message dwell_words(const DwellRecord& dwell) {
+  return Message("experiment {experiment}, alpha = {angle:g} degrees", dwell.experiment, dwell.alpha.deg());
 }
 
 std::optional<CheckPoseStudy> study_check_poses(const RunRecord& record) {
@@ -452,7 +454,8 @@ std::vector<Check> check_pose_checks(const RunRecord& record) {
   if (!study) {
     checks.push_back({"check poses", std::numeric_limits<double>::quiet_NaN(),
                       std::numeric_limits<double>::quiet_NaN(), "", true,
-                      "the check poses were not compared: two visits with stated uncertainties are needed"});
+                      Message("the check poses were not compared: {why}",
+                              Message("two visits with stated uncertainties are needed"))});
     return checks;
   }
   for (std::size_t j = 0; j < 3; ++j) {
@@ -460,7 +463,7 @@ std::vector<Check> check_pose_checks(const RunRecord& record) {
     checks.push_back(trend_check(*study, PoseChangeKind::kOffset, j));
   }
   for (const PoseChange& change : study->found) {
-    std::string words = words_of_change(record, *study, change);
+    Message words = words_of_change(record, *study, change);
     if (change.kind == PoseChangeKind::kTurn) {
       checks.push_back({"turn at the check poses", change.size * 180.0 / std::numbers::pi,
                         slip_limit(record.limits, record.tolerances).deg(), "degree", false,
@@ -472,7 +475,7 @@ std::vector<Check> check_pose_checks(const RunRecord& record) {
     Check& check = checks[place];
     check.passed = false;
     check.found = std::abs(change.size) > std::abs(check.found) ? change.size : check.found;
-    check.words = check.words.empty() ? std::move(words) : check.words + "; " + words;
+    check.words = check.words.empty() ? std::move(words) : in_sequence({check.words, words});
   }
   return checks;
 }

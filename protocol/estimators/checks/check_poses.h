@@ -25,9 +25,9 @@ struct PoseChange {
   std::size_t after_visit = 0;  ///< Index in CheckPoseStudy::visits: between this visit and the next.
   double size = 0.0;  ///< Gain: relative; offset: over the sensitivity; turn: radian, its magnitude.
   double standard_uncertainty = 0.0;
-  double fall = 0.0;                 ///< Fall of chi2 with this change.
-  double needed = 0.0;               ///< The fall that one of 1e6 sound runs reaches with any change.
-  std::vector<std::string> as_well;  ///< Nearly as good explanations: "the offset of v".
+  double fall = 0.0;             ///< Fall of chi2 with this change.
+  double needed = 0.0;           ///< The fall that one of 1e6 sound runs reaches with any change.
+  std::vector<Message> as_well;  ///< Nearly as good explanations: "the offset of v".
 };
 
 /// One visit of the check poses.
@@ -76,6 +76,6 @@ std::optional<CheckPoseStudy> compared_check_poses(const RunRecord& record);
 std::vector<Check> check_pose_checks(const RunRecord& record);
 
 /// "experiment 2, alpha = 35 degrees".
-std::string dwell_words(const DwellRecord& dwell);
+Message dwell_words(const DwellRecord& dwell);
 
 }  // namespace abcal

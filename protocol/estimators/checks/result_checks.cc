@@ -65,90 +65,137 @@ std::string outputs_as_before(const ChangeScan& scan, const Change& change) {
 }
 
 /// Explanations that are nearly as good, as the end of a sentence.
-std::string alternatives(const Change& change) {
-  std::string text;
+std::vector<Message> alternatives(const Change& change) {
+  std::vector<Message> all;
+  const auto add = [&](Term words) { all.push_back(Message(", {alternative}", words)); };
   for (const ChangeKind kind : change.as_well) {
     switch (kind) {
       case ChangeKind::kSlip:
         // The words for a missed step of axis Z name the slip already.
-        if (change.kind != ChangeKind::kAxisZ) text += ", or the accelerometer slipped on the platter";
+        if (change.kind != ChangeKind::kAxisZ) add("or the accelerometer slipped on the platter");
         break;
       case ChangeKind::kAxisX:
-        text += ", or axis X missed a step that its encoder does not see";
+        add("or axis X missed a step that its encoder does not see");
         break;
       case ChangeKind::kAxisZ:
-        text += ", or axis Z missed a step that its encoder does not see";
+        add("or axis Z missed a step that its encoder does not see");
         break;
       case ChangeKind::kOutput:
-        text += ", or an output jumped";
+        add("or an output jumped");
         break;
       case ChangeKind::kGain:
-        text += ", or the gain of an output changed";
+        add("or the gain of an output changed");
         break;
       case ChangeKind::kAngle:
-        text += ", or the stage stood at another angle there";
+        add("or the stage stood at another angle there");
         break;
       case ChangeKind::kReading:
-        text += ", or one output was disturbed there";
+        add("or one output was disturbed there");
         break;
       case ChangeKind::kReadings:
         break;  // explains everything that another single change does
     }
   }
-  return text;
+  return all;
 }
 
-std::string words_of(const ChangeScan& scan, const Change& change, const RunRecord& record) {
+Message words_of(const ChangeScan& scan, const Change& change, const RunRecord& record) {
   const DwellRecord& here = *scan.dwells[change.at];
-  const auto between = [&] {
-    return fmt::format("between {} and {}", dwell_words(*scan.dwells[change.at - 1]), dwell_words(here));
-  };
+  const auto before = [&] { return dwell_words(*scan.dwells[change.at - 1]); };
   const std::string as_before = outputs_as_before(scan, change);
-  const std::string others = alternatives(change);
+  std::vector<Message> alternative = alternatives(change);
+  const Message others = in_sequence(alternative, "");
   switch (change.kind) {
     case ChangeKind::kSlip: {
       const Eigen::Vector3d axis = change.size.normalized();
       // The linear model may not list axis Z as an alternative for a large turn about z.
-      const bool by_z = std::abs(axis.z()) > 0.999 && others.find("axis Z") == std::string::npos;
-      return fmt::format(
-          "the accelerometer slipped on the platter by {:.3f} degrees about ({:.2f}, {:.2f}, {:.2f}) {}{}{}",
-          change.magnitude, axis.x(), axis.y(), axis.z(), between(), others,
-          by_z ? ", or axis Z missed a step that its encoder does not see" : "");
+      if (std::abs(axis.z()) > 0.999 &&
+          std::ranges::find(change.as_well, ChangeKind::kAxisZ) == change.as_well.end())
+        alternative.push_back(
+            Message(", {alternative}", Message("or axis Z missed a step that its encoder does not see")));
+      return {
+          "the accelerometer slipped on the platter by {angle:.3f} degrees about ({x:.2f}, {y:.2f}, {z:.2f}) "
+          "between {before} and {after}{more}",
+          change.magnitude,
+          axis.x(),
+          axis.y(),
+          axis.z(),
+          before(),
+          dwell_words(here),
+          in_sequence(alternative, "")};
     }
     case ChangeKind::kAxisX:
-      return fmt::format(
-          "axis X is off by {:+.3f} degrees from {} on: a missed step that its encoder does not see{}",
+      return Message(
+          "axis X is off by {angle:+.3f} degrees from {where} on: a missed step that its encoder does not "
+          "see{more}",
           change.size(0) * kDegrees, dwell_words(here), others);
     case ChangeKind::kAxisZ:
-      return fmt::format(
-          "axis Z is off by {:+.3f} degrees from {} on: a missed step that its encoder does not see, or the "
-          "accelerometer slipped on the platter about z{}",
+      return Message(
+          "axis Z is off by {angle:+.3f} degrees from {where} on: a missed step that its encoder does not "
+          "see, or the "
+          "accelerometer slipped on the platter about z{more}",
           change.size(0) * kDegrees, dwell_words(here), others);
     case ChangeKind::kOutput:
-      return fmt::format("output {} jumped by {:.2g} {} {}{}", kOutputNames[change.accelerometer],
-                         change.size(0), record.response_unit, between(), others);
+      return {"output {output} jumped by {jump:.2g} {unit} between {before} and {after}{more}",
+              kOutputNames[change.accelerometer],
+              change.size(0),
+              record.response_unit,
+              before(),
+              dwell_words(here),
+              others};
     case ChangeKind::kGain:
-      return fmt::format("the gain of output {} changed by {:+.4f} % {}{}",
-                         kOutputNames[change.accelerometer], 100.0 * change.size(0), between(), others);
+      return {"the gain of output {output} changed by {change:+.4f} % between {before} and {after}{more}",
+              kOutputNames[change.accelerometer],
+              100.0 * change.size(0),
+              before(),
+              dwell_words(here),
+              others};
     case ChangeKind::kAngle:
-      return fmt::format(
-          "{}: the readings are those of an angle {:+.3f} degrees away{}{}", dwell_words(here),
-          change.size(0) * kDegrees,
+      alternative.insert(
+          alternative.begin(),
           as_before.size() == 3
-              ? ", and as at the angle before: the outputs were stuck, or the axis did not move"
-              : ": a missed step that was made up for, or the axis was moved while they were taken",
-          others);
+              ? Message(", {cause}",
+                        Message("and as at the angle before: the outputs were stuck, or the axis "
+                                "did not move"))
+              : Message(": {cause}",
+                        Message("a missed step that was made up for, or the axis was moved while "
+                                "they were taken")));
+      return {"{where}: the readings are those of an angle {angle:+.3f} degrees away{more}",
+              dwell_words(here), change.size(0) * kDegrees, in_sequence(alternative, "")};
     case ChangeKind::kReading:
     case ChangeKind::kReadings: {
-      std::string text = dwell_words(here) + ": ";
-      text += change.kind == ChangeKind::kReading
-                  ? fmt::format("output {} is", kOutputNames[change.accelerometer])
-                  : "the outputs are";
-      text += fmt::format(" off by {:.2g} of the sensitivity", change.magnitude);
-      if (as_before.empty()) return text + ": disturbed or stuck" + others;
+      const bool one = change.kind == ChangeKind::kReading;
+      const Message where = dwell_words(here);
+      if (as_before.empty() && one)
+        return {
+            "{where}: output {output} is off by {change:.2g} of the sensitivity: disturbed or stuck{more}",
+            where, kOutputNames[change.accelerometer], change.magnitude, others};
+      if (as_before.empty())
+        return {"{where}: the outputs are off by {change:.2g} of the sensitivity: disturbed or stuck{more}",
+                where, change.magnitude, others};
       const std::vector<char> names(as_before.begin(), as_before.end());
-      return text + fmt::format("; {} read what {} had read at the angle before: stuck{}",
-                                fmt::join(names, " and "), names.size() == 1 ? "it" : "they", others);
+      const std::string readers = fmt::format("{}", fmt::join(names, " and "));
+      const Message they = names.size() == 1 ? Message("it") : Message("they");
+      if (one)
+        return {
+            "{where}: output {output} is off by {change:.2g} of the sensitivity; {reader} read what {what} "
+            "had "
+            "read at the angle before: stuck{more}",
+            where,
+            kOutputNames[change.accelerometer],
+            change.magnitude,
+            readers,
+            they,
+            others};
+      return {
+          "{where}: the outputs are off by {change:.2g} of the sensitivity; {reader} read what {what} had "
+          "read "
+          "at the angle before: stuck{more}",
+          where,
+          change.magnitude,
+          readers,
+          they,
+          others};
     }
   }
   return {};
@@ -189,8 +236,9 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
                 "of the sensitivity, over the run",          true,  {}};
     check.passed = std::abs(drift) <= within;
     if (!check.passed) {
-      check.words = fmt::format(
-          "output {} drifted by {:.2g} of its sensitivity over the run, {:.1f} times its tolerance: "
+      check.words = Message(
+          "output {output} drifted by {change:.2g} of its sensitivity over the run, {times:.1f} times its "
+          "tolerance: "
           "temperature, "
           "warm-up or supply",
           kOutputNames[j], drift, std::abs(drift) / prior);
@@ -205,7 +253,7 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
 void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
   constexpr std::size_t kMostNamed = 3;
   for (int j = 0; j < 3; ++j) {
-    std::vector<std::string> places;
+    std::vector<Message> places;
     int frozen = 0;
     for (const DwellRecord* dwell : dwells_in_time(record)) {
       // If the spreads of all three are zero, they are not known (a CSV).
@@ -213,16 +261,15 @@ void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
       if ((dwell->flags & kFlagStuck) == 0U || !one_is_frozen) continue;
       if (++frozen <= static_cast<int>(kMostNamed))
         places.push_back(dwell->experiment > 0 ? dwell_words(*dwell)
-                                               : fmt::format("check pose {}", dwell->n));
+                                               : Message("check pose {number}", dwell->n));
     }
     if (frozen == 0) continue;
-    checks.push_back({fmt::format("stuck output {}", kOutputNames[j]), static_cast<double>(frozen), 0.0,
-                      "dwells", false,
-                      fmt::format("output {} was stuck: it did not change at all at {}{}", kOutputNames[j],
-                                  fmt::join(places, "; "),
-                                  frozen > static_cast<int>(kMostNamed)
-                                      ? fmt::format(" and {} more", frozen - static_cast<int>(kMostNamed))
-                                      : "")});
+    checks.push_back(
+        {fmt::format("stuck output {}", kOutputNames[j]), static_cast<double>(frozen), 0.0, "dwells", false,
+         Message("output {output} was stuck: it did not change at all at {where}", kOutputNames[j],
+                 frozen > static_cast<int>(kMostNamed)
+                     ? Message("{places} and {more} more", places, frozen - static_cast<int>(kMostNamed))
+                     : in_sequence(places))});
   }
 }
 
@@ -249,13 +296,14 @@ void check_temperature(const RunRecord& record, std::vector<Check>& checks) {
   if (!first) return;
   Check check{"temperature", change, allowed, "degC from the first angle", worst == nullptr, {}};
   if (worst != nullptr) {
-    std::string range;
+    Message range;
     if (limits.temperature_max_degc < 1e9 || limits.temperature_min_degc > -1e9) {
-      range = fmt::format(", and from {:g} to {:g} degC", limits.temperature_min_degc,
-                          limits.temperature_max_degc);
+      range = Message(", and from {least:g} to {most:g} degC", limits.temperature_min_degc,
+                      limits.temperature_max_degc);
     }
-    check.words = fmt::format(
-        "{}: {:.2f} degC, {:+.2f} from the first angle; required: within {:.2g} degC of it{}",
+    check.words = Message(
+        "{where}: {temperature:.2f} degC, {change:+.2f} from the first angle; required: within {limit:.2g} "
+        "degC of it{more}",
         dwell_words(*worst), *worst->temperature_degc, *worst->temperature_degc - *first, allowed, range);
   }
   checks.push_back(std::move(check));
@@ -264,17 +312,18 @@ void check_temperature(const RunRecord& record, std::vector<Check>& checks) {
 // ---- Unit and full scale -------------------------------------------------------------------------------
 
 /// Usual cause of a factor that is far from 1: "the readings are in m/s2, not in g"; empty if none fits.
-std::string usual_factor(double factor, const std::string& unit, double tolerance) {
+Message usual_factor(double factor, const std::string& unit, double tolerance) {
   const auto is = [&](double candidate) { return std::abs(factor / candidate - 1.0) <= tolerance; };
-  if (unit == "g" && is(kStandardGravity)) return "the readings are in m/s2, not in g";
+  if (unit == "g" && is(kStandardGravity)) return Message("the readings are in m/s2, not in g");
   if (nominal_response({}, unit, 1.0) == 1.0 && is(1.0 / kStandardGravity))
-    return "the readings are in g, not in " + unit;
-  if (is(1e3)) return "the readings are in thousandths of " + unit;
-  if (is(1e-3)) return "the readings are in thousands of " + unit;
+    return {"the readings are in g, not in {unit}", unit};
+  if (is(1e3)) return {"the readings are in thousandths of {unit}", unit};
+  if (is(1e-3)) return {"the readings are in thousands of {unit}", unit};
   for (int k = 1; k <= 8; ++k) {
     const double power = std::exp2(k);
     if (is(power) || is(1.0 / power)) {
-      return fmt::format("the full scale is wrong by a factor of {}{:g}", is(power) ? "" : "1/", power);
+      return {"the full scale is wrong by a factor of {factor}",
+              fmt::format("{}{:g}", is(power) ? "" : "1/", power)};
     }
   }
   return {};
@@ -307,18 +356,19 @@ void check_full_scale(const RunRecord& record, const Eigen::Vector3d& sensitivit
   if (!check.passed) {
     const double mean = ratio.mean();
     const bool common = (ratio / mean - Eigen::Vector3d::Ones()).cwiseAbs().maxCoeff() <= check.limit;
-    const std::string usual = common ? usual_factor(mean, record.response_unit, 2.0 * check.limit) : "";
-    const auto percent = [](double r) { return fmt::format("{:+.3g} %", 100.0 * (r - 1.0)); };
-    std::string cause = "unit, full scale or scale factor is wrong";
+    const Message usual = common ? usual_factor(mean, record.response_unit, 2.0 * check.limit) : Message();
+    const auto percent = [](double r) { return Message("{change:+.3g} %", 100.0 * (r - 1.0)); };
+    Message cause("unit, full scale or scale factor is wrong");
     if (!usual.empty()) {
       cause = usual;
     } else if (!common) {
-      cause = "the scale of an output is wrong";
+      cause = Message("the scale of an output is wrong");
     }
-    check.words = fmt::format(
-        "sensitivities of u, v, w differ by {}, {}, {} from the nominal {:.6g} {} per g_loc, required: "
-        "within {:.2g} %"
-        " ([item] sensitivity_tolerance): {}",
+    check.words = Message(
+        "sensitivities of u, v, w differ by {u}, {v}, {w} from the nominal {nominal:.6g} {unit} per g_loc, "
+        "required: "
+        "within {limit:.2g} %"
+        " ([item] sensitivity_tolerance): {causes}",
         percent(ratio(0)), percent(ratio(1)), percent(ratio(2)), *nominal, record.response_unit,
         100.0 * check.limit, cause);
   }
@@ -334,42 +384,44 @@ std::string signed_axis(const Eigen::Vector3d& row) {
 }
 
 /// Errors that turn the expected directions into those found; both are signed permutations.
-std::string cause_of(const Eigen::Matrix3d& expected, const Eigen::Matrix3d& found) {
-  std::vector<std::string> causes;
+Message cause_of(const Eigen::Matrix3d& expected, const Eigen::Matrix3d& found) {
+  std::vector<Message> causes;
   const Eigen::Matrix3d columns = expected.transpose() * found;  // found = expected * columns
   const Eigen::Matrix3d rows = found * expected.transpose();     // found = rows * expected
   if (columns.determinant() > 0.0) {
     // s_j turns with the accelerometer: its row is multiplied by the transposed turn.
     const Eigen::AngleAxisd turn(Eigen::Matrix3d(columns.transpose()));
     const Eigen::Vector3d axis = turn.axis();
-    causes.push_back(
-        fmt::format("the accelerometer is mounted turned by {:.0f} degrees about ({:.2g}, {:.2g}, {:.2g})",
-                    turn.angle() * kDegrees, axis.x(), axis.y(), axis.z()));
+    causes.push_back(Message(
+        "the accelerometer is mounted turned by {angle:.0f} degrees about ({x:.2g}, {y:.2g}, {z:.2g})",
+        turn.angle() * kDegrees, axis.x(), axis.y(), axis.z()));
   }
-  std::vector<std::string> outputs;
+  std::vector<Message> outputs;
   for (int j = 0; j < 3; ++j) {
     Eigen::Index from = 0;
     rows.row(j).cwiseAbs().maxCoeff(&from);
     const bool reversed = rows(j, from) < 0.0;
-    if (from == j && reversed) outputs.push_back(fmt::format("{} is reversed", kOutputNames[j]));
+    if (from == j && reversed) outputs.push_back(Message("{output} is reversed", kOutputNames[j]));
     if (from != j) {
-      outputs.push_back(fmt::format("{} is {}{}", kOutputNames[j], reversed ? "-" : "", kOutputNames[from]));
+      outputs.push_back(
+          Message("{output} is {sign}{other}", kOutputNames[j], reversed ? "-" : "", kOutputNames[from]));
     }
   }
   const bool swapped = rows.trace() != 0.0 && !rows.isDiagonal();
-  causes.push_back(fmt::format("the outputs are {} ({})",
-                               rows.isDiagonal() ? "reversed"
-                               : swapped         ? "exchanged"
-                                                 : "exchanged in turn",
-                               fmt::join(outputs, ", ")));
+  const Message which = in_sequence(outputs, ", ");
+  causes.push_back(rows.isDiagonal() ? Message("the outputs are reversed ({outputs})", which)
+                   : swapped         ? Message("the outputs are exchanged ({outputs})", which)
+                                     : Message("the outputs are exchanged in turn ({outputs})", which));
   // A stage axis with the wrong sign has the same effect, and nothing else shows it.
   const auto is = [&](double x, double y, double z) {
     return columns.isApprox(Eigen::Vector3d(x, y, z).asDiagonal().toDenseMatrix());
   };
-  if (is(-1, -1, 1)) causes.push_back("stage axis X counts the wrong way ([stage.x] sign)");
-  if (is(-1, 1, 1)) causes.push_back("stage axis Z counts the wrong way ([stage.z] sign)");
-  if (is(1, -1, 1)) causes.push_back("both stage axes count the wrong way ([stage.x] and [stage.z] sign)");
-  return fmt::format("{}", fmt::join(causes, ", or "));
+  if (is(-1, -1, 1)) causes.push_back(Message("stage axis X counts the wrong way ([stage.x] sign)"));
+  if (is(-1, 1, 1)) causes.push_back(Message("stage axis Z counts the wrong way ([stage.z] sign)"));
+  if (is(1, -1, 1))
+    causes.push_back(Message("both stage axes count the wrong way ([stage.x] and [stage.z] sign)"));
+  for (std::size_t i = 1; i < causes.size(); ++i) causes[i] = Message(", or {cause}", causes[i]);
+  return in_sequence(causes, "");
 }
 
 void check_directions(const RunRecord& record, const CalibrationResult& result, std::vector<Check>& checks) {
@@ -388,12 +440,13 @@ void check_directions(const RunRecord& record, const CalibrationResult& result, 
   check.passed = check.found <= check.limit;
   if (!check.passed) {
     const bool permutation = std::abs(found.determinant()) == 1.0;
-    std::string cause = "two outputs point along one axis";
+    Message cause("two outputs point along one axis");
     if (permutation) {
-      cause = found.isApprox(*expected) ? "the accelerometer is mounted askew" : cause_of(*expected, found);
+      cause = found.isApprox(*expected) ? Message("the accelerometer is mounted askew")
+                                        : cause_of(*expected, found);
     }
-    check.words = fmt::format(
-        "outputs u, v, w point along {}, {}, {}; required: \"{}\" ([item] mounting): {}",
+    check.words = Message(
+        "outputs u, v, w point along {u}, {v}, {w}; required: \"{mounting}\" ([item] mounting): {cause}",
         signed_axis(s.row(0)), signed_axis(s.row(1)), signed_axis(s.row(2)), record.expected.mounting, cause);
   }
   checks.push_back(std::move(check));
@@ -417,7 +470,7 @@ void check_the_check_poses(const RunRecord& record, std::vector<Check>& checks) 
   } catch (const UnusableData& error) {
     checks.push_back({"check poses", std::numeric_limits<double>::quiet_NaN(),
                       std::numeric_limits<double>::quiet_NaN(), "", true,
-                      fmt::format("the check poses were not compared: {}", error.what())});
+                      Message("the check poses were not compared: {why}", error.message())});
   }
 }
 
@@ -431,18 +484,19 @@ std::vector<Check> check_record(const RunRecord& record) {
   try {
     const ChangeScan scan = scan_for_changes(record);
     if (!scan.converged && tells_little(record)) {
-      checks.push_back({"changes during the run", std::numeric_limits<double>::quiet_NaN(),
-                        std::numeric_limits<double>::quiet_NaN(), "", true,
-                        "slips, missed steps and disturbed angles were not looked for: so few angles without "
-                        "uncertainties do not tell noise from a change"});
+      checks.push_back(
+          {"changes during the run", std::numeric_limits<double>::quiet_NaN(),
+           std::numeric_limits<double>::quiet_NaN(), "", true,
+           Message("slips, missed steps and disturbed angles were not looked for: {why}",
+                   Message("so few angles without uncertainties do not tell noise from a change"))});
       return checks;
     }
     if (!scan.converged) {
       checks.push_back(
           {"joint fit", std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN(),
            "", false,
-           "the joint fit does not converge: the readings are not those of the three experiments, or "
-           "their angles are wrong"});
+           Message("the joint fit does not converge: the readings are not those of the three experiments, or "
+                   "their angles are wrong")});
       return checks;
     }
     check_changes(record, scan, checks);
@@ -454,7 +508,7 @@ std::vector<Check> check_record(const RunRecord& record) {
     checks.push_back(
         {"changes during the run", std::numeric_limits<double>::quiet_NaN(),
          std::numeric_limits<double>::quiet_NaN(), "", true,
-         fmt::format("slips, missed steps and disturbed angles were not looked for: {}", error.what())});
+         Message("slips, missed steps and disturbed angles were not looked for: {why}", error.message())});
   }
   return checks;
 }
@@ -474,8 +528,8 @@ void apply_checks(std::vector<Check> checks, const RunRecord& record, Calibratio
     }
     check_directions(record, result, checks);
   }
-  std::vector<std::string> failed;
-  std::vector<std::string>& notes = result.diagnostics.notes;
+  std::vector<Message> failed;
+  std::vector<Message>& notes = result.diagnostics.notes;
   for (const Check& check : checks) {
     if (check.words.empty()) continue;
     if (check.passed) {
@@ -487,7 +541,7 @@ void apply_checks(std::vector<Check> checks, const RunRecord& record, Calibratio
   result.diagnostics.checks = std::move(checks);
   if (failed.empty()) return;
   notes.insert(notes.begin(), failed.begin(), failed.end());
-  object_to(result, fmt::format("{}", fmt::join(failed, "; ")));
+  object_to(result, in_sequence(failed));
 }
 
 }  // namespace abcal

@@ -147,8 +147,8 @@ struct Estimate {
   std::vector<EffectShare> shares;  ///< Shares of the effects in the diagonal of output_covariance_b.
 };
 
-std::string not_determined(const ReadingSeries& series, const char* reason) {
-  return fmt::format("experiment {}: {}", series.experiment, reason);
+Message not_determined(const ReadingSeries& series, const Message& reason) {
+  return {"experiment {experiment}: {why}", series.experiment, reason};
 }
 
 // Variance of a reading of each accelerometer from the residuals of its three fits together.
@@ -350,22 +350,19 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
 /// Collects objections to the result, each as a sentence.
 class Objections {
  public:
-  void add(std::string sentence) { sentences_.push_back(std::move(sentence)); }
+  void add(Message sentence) { sentences_.push_back(std::move(sentence)); }
   bool empty() const { return sentences_.empty(); }
-  const std::vector<std::string>& all() const { return sentences_; }
-  std::string in_one_sentence() const {
+  const std::vector<Message>& all() const { return sentences_; }
+  Message in_one_sentence() const {
     constexpr std::size_t kShown = 3;
-    std::string text = fmt::format(
-        "{}", fmt::join(sentences_.begin(),
-                        sentences_.begin() + static_cast<std::ptrdiff_t>(std::min(kShown, sentences_.size())),
-                        "; "));
-    if (sentences_.size() > kShown)
-      text += fmt::format("; and {} more (see the notes)", sentences_.size() - kShown);
-    return text;
+    if (sentences_.size() <= kShown) return in_sequence(sentences_);
+    return {"{first}; and {more} more (see the notes)",
+            std::vector<Message>(sentences_.begin(), sentences_.begin() + kShown),
+            sentences_.size() - kShown};
   }
 
  private:
-  std::vector<std::string> sentences_;
+  std::vector<Message> sentences_;
 };
 
 /// Degrees of freedom of the scatter of an output's readings; infinite where it is stated.
@@ -390,9 +387,9 @@ bool contradicts_zero(const Quantity& quantity, double degrees_of_type_a, double
   return std::abs(quantity.value) > limit + 1e-13 * scale;
 }
 
-std::string times_uncertainty(const Quantity& quantity) {
-  return fmt::format("{:.3g} {}, {:.1f} times its standard uncertainty", quantity.value, quantity.unit,
-                     std::abs(quantity.value) / quantity.standard_uncertainty);
+Message times_uncertainty(const Quantity& quantity) {
+  return Message("{value:.3g} {unit}, {times:.1f} times its standard uncertainty", quantity.value,
+                 quantity.unit, std::abs(quantity.value) / quantity.standard_uncertainty);
 }
 
 double response_scale(const Estimate& estimate, std::size_t accelerometer) {
@@ -522,8 +519,8 @@ void fill_closures(const Estimate& estimate, CalibrationResult& result, Objectio
       Closure closure{kClosureNames[name], static_cast<int>(j),
                       quantity(values(i), a, variances.b(0), result.response_unit)};
       if (contradicts_zero(closure.value, degrees_of_readings(estimate, j), response_scale(estimate, j))) {
-        objections.add(fmt::format("closure {} of {} is {}", closure.name, kOutputNames[j],
-                                   times_uncertainty(closure.value)));
+        objections.add(Message("closure {closure} of {output} is {value}", closure.name, kOutputNames[j],
+                               times_uncertainty(closure.value)));
       }
       result.diagnostics.closures.push_back(std::move(closure));
     }
@@ -571,8 +568,9 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
             quantity(closing->mean(row) - first.mean(row), a, b, result.response_unit)};
         if (contradicts_zero(difference.value, degrees, response_scale(estimate, j))) {
           objections.add(
-              fmt::format("experiment {}: {} at the closing angle differs from the first angle by {} (drift)",
-                          difference.experiment, kOutputNames[j], times_uncertainty(difference.value)));
+              Message("experiment {experiment}: {output} at the closing angle differs from the first angle "
+                      "by {difference} (drift)",
+                      difference.experiment, kOutputNames[j], times_uncertainty(difference.value)));
         }
         result.diagnostics.closing_differences.push_back(std::move(difference));
       }
@@ -590,7 +588,7 @@ void fill_faces(const RunRecord& record, const Selection& selection, const Estim
                           estimate.effects, estimate.reading_variance, estimate.outputs, estimate.resolution,
                           result.response_unit, (*result.sensitivity_matrix)[0][0].unit});
   } catch (const UndeterminedFit& error) {
-    result.diagnostics.notes.push_back(fmt::format("the two faces were not compared: {}", error.what()));
+    result.diagnostics.notes.push_back(Message("the two faces were not compared: {why}", error.message()));
     return;
   }
   static constexpr std::array<const char*, 4> kNames{"s_{}x", "s_{}y", "s_{}z", "O_{}"};
@@ -600,9 +598,9 @@ void fill_faces(const RunRecord& record, const Selection& selection, const Estim
       const Quantity& difference = i < 3 ? of.sensitivity_matrix[j][i] : of.offset[j];
       if (!contradicts_zero(difference, degrees_of_readings(estimate, j), response_scale(estimate, j)))
         continue;
-      objections.add(fmt::format("{} of face 1 and of face 2 differ by {} (the stage)",
-                                 fmt::format(fmt::runtime(kNames[i]), kOutputNames[j]),
-                                 times_uncertainty(difference)));
+      objections.add(Message("{output} of face 1 and of face 2 differ by {difference} (the stage)",
+                             fmt::format(fmt::runtime(kNames[i]), kOutputNames[j]),
+                             times_uncertainty(difference)));
     }
   }
 }
@@ -647,8 +645,9 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
         !beyond_noise(harmonic, degrees_of_readings(estimate, j), response_scale(estimate, j)))
       continue;
     const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
-    const std::string sentence = fmt::format(
-        "experiment {}: harmonic {} of {} has an amplitude of {:.3g} {}, beyond its uncertainty "
+    const Message sentence(
+        "experiment {experiment}: harmonic {harmonic} of {output} has an amplitude of {amplitude:.3g} "
+        "{unit}, beyond its uncertainty "
         "(non-linearity or "
         "synchronous step errors)",
         diagnostic.experiment, harmonic.order, kOutputNames[j], amplitude, result.response_unit);
@@ -672,7 +671,7 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
   diagnostics.reciprocal_condition = 1.0;
   double chi2 = 0.0;
   bool weighted = true;
-  std::set<std::string> no_harmonics;
+  std::vector<Message> no_harmonics;
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
     const HarmonicFit& fit = estimate.fits[i];
     const ReadingSeries& series = estimate.series[i];
@@ -703,11 +702,12 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
         test_residuals(estimate.cleaned[i], cleaned, estimate.cleaned_effects, estimate.resolution);
     if (test.deviate > kContradictionLevel) {
       objections.add(
-          fmt::format("experiment {}: the residuals of {} are {:.3g} {} rms where {:.3g} is explained by "
-                      "noise and tolerances",
-                      series.experiment, kOutputNames[j],
-                      std::sqrt(cleaned.residuals.squaredNorm() / static_cast<double>(diagnostic.angles)),
-                      result.response_unit, test.expected_rms));
+          Message("experiment {experiment}: the residuals of {output} are {rms:.3g} {unit} rms where "
+                  "{explained:.3g} is explained by "
+                  "noise and tolerances",
+                  series.experiment, kOutputNames[j],
+                  std::sqrt(cleaned.residuals.squaredNorm() / static_cast<double>(diagnostic.angles)),
+                  result.response_unit, test.expected_rms));
     }
     try {
       const HarmonicFit second = fit_harmonics(series.alpha, series.readings, series.u, kDiagnosticHarmonics);
@@ -721,8 +721,9 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
           harmonics_of(of_cleaned, cleaned_by_dwell(of_cleaned, series, *estimate.curvature), j, estimate);
       judge_harmonics(without_curvature, estimate, result, objections);
     } catch (const UndeterminedFit& error) {
-      no_harmonics.insert(
-          fmt::format("experiment {}: harmonics 2 to 5 not examined: {}", series.experiment, error.what()));
+      const Message why("experiment {experiment}: harmonics 2 to 5 not examined: {why}", series.experiment,
+                        error.message());
+      if (std::ranges::find(no_harmonics, why) == no_harmonics.end()) no_harmonics.push_back(why);
     }
     diagnostics.fits.push_back(std::move(diagnostic));
   }
@@ -735,11 +736,11 @@ void fill_flags(const RunRecord& record, const Selection& selection, Calibration
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.angles_used = static_cast<int>(selection.dwells.size());
   count_flags(record, diagnostics);
-  if (std::string words = words_about_flags(record, kSuspectFlags); !words.empty())
+  if (Message words = words_about_flags(record, kSuspectFlags); !words.empty())
     objections.add(std::move(words));
   if (selection.not_finite > 0) {
-    objections.add(fmt::format("{} of {} angles left out because a mean is not a finite number",
-                               selection.not_finite, record.dwells.size()));
+    objections.add(Message("{angles} of {all} angles left out because a mean is not a finite number",
+                           selection.not_finite, record.dwells.size()));
   }
 }
 
@@ -751,7 +752,8 @@ void note_missing_angles(const RunRecord& record, const Selection& selection, Ca
     }
     if (static_cast<int>(measured.size()) < record.steps) {
       result.diagnostics.notes.push_back(
-          fmt::format("experiment {}: {} of {} angles measured", experiment, measured.size(), record.steps));
+          Message("experiment {experiment}: {measured} of {planned} angles measured", experiment,
+                  measured.size(), record.steps));
     }
   }
 }
@@ -760,25 +762,27 @@ void note_type_a(const Selection& selection, const Estimate& estimate, Calibrati
                  Objections& objections) {
   if (selection.with_uncertainty) return;
   if (!estimate.covariance_a) {
-    objections.add("there is no type A uncertainty: the readings carry none and leave no redundancy");
+    objections.add(
+        Message("there is no type A uncertainty: the readings carry none and leave no redundancy"));
     return;
   }
   result.diagnostics.notes.push_back(
-      fmt::format("type A is taken from the residuals of the fits, which hold step errors too, because {}",
-                  selection.some_uncertainty ? "some readings carry no standard uncertainty above zero"
-                                             : "the readings carry no standard uncertainty"));
+      Message("type A is taken from the residuals of the fits, which hold step errors too, because {why}",
+              selection.some_uncertainty ? Message("some readings carry no standard uncertainty above zero")
+                                         : Message("the readings carry no standard uncertainty")));
 }
 
 // The reason why the record cannot be analysed; empty if it may be.
-std::string refusal(const RunRecord& record, const Selection& selection) {
+Message refusal(const RunRecord& record, const Selection& selection) {
   if (is_at_constant_rate(record))
-    return "the stage turned at constant rates: the joint estimator evaluates such a run";
+    return Message("the stage turned at constant rates: the joint estimator evaluates such a run");
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
     if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {
-      return fmt::format(
-          "the record has an angle of experiment {}, n = {}; experiments are 1, 2, 3 and n starts at 1",
-          dwell.experiment, dwell.n);
+      return {
+          "the record has an angle of experiment {experiment}, n = {n}; experiments are 1, 2, 3 and n starts "
+          "at 1",
+          dwell.experiment, dwell.n};
     }
   }
   for (int experiment = 1; experiment <= 3; ++experiment) {
@@ -786,15 +790,17 @@ std::string refusal(const RunRecord& record, const Selection& selection) {
         std::any_of(selection.dwells.begin(), selection.dwells.end(),
                     [&](const DwellRecord* dwell) { return dwell->experiment == experiment; });
     if (!measured) {
-      const char* reason = selection.not_finite > 0 ? " with finite readings" : "";
-      return fmt::format("experiment {} has no angles{}; all three experiments are required", experiment,
-                         reason);
+      if (selection.not_finite > 0)
+        return {
+            "experiment {experiment} has no angles with finite readings; all three experiments are required",
+            experiment};
+      return {"experiment {experiment} has no angles; all three experiments are required", experiment};
     }
   }
   for (const EffectSizeKey& key : effect_size_keys()) {
     const double size = key.get(record.tolerances);
     if (!(size >= 0.0 && std::isfinite(size)))
-      return fmt::format("a tolerance ({}) is {}; finite numbers >= 0 are required", key.key, size);
+      return {"a tolerance ({key}) is {size}; finite numbers >= 0 are required", key.key, size};
   }
   return {};
 }
@@ -827,12 +833,13 @@ void judge_matrix(const Estimate& estimate, Objections& objections) {
   constexpr double kNearlyInOnePlane =
       1e-2;  // half a degree out of one plane: no triaxial accelerometer is built so
   if (!(singular(2) > kNearlyInOnePlane * singular(0))) {
-    objections.add("the three axes of the accelerometer lie nearly in one plane; are two outputs the same?");
+    objections.add(
+        Message("the three axes of the accelerometer lie nearly in one plane; are two outputs the same?"));
   }
 }
 
 // Names an output that does not respond to gravity: its intrinsic properties do not exist. Empty: none.
-std::string dead_output(const Estimate& estimate) {
+Message dead_output(const Estimate& estimate) {
   const Eigen::Matrix3d s = sensitivity_matrix_of(estimate.outputs);
   for (Eigen::Index j = 0; j < 3; ++j) {
     double type_a = 0.0;
@@ -843,8 +850,9 @@ std::string dead_output(const Estimate& estimate) {
     const double response = s.row(j).norm();
     const double round_off = 1e-12 * std::abs(estimate.outputs(9 + j));
     if (!(response > std::max(kContradictionLevel * type_a, round_off))) {
-      return fmt::format(
-          "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
+      return Message(
+          "output {output} does not follow gravity: its sensitivity is {sensitivity:.3g}, not above its "
+          "scatter",
           kOutputNames[j], response);
     }
   }
@@ -852,12 +860,13 @@ std::string dead_output(const Estimate& estimate) {
 }
 
 // Names an output without any response: k2 and k3 have no direction there. Empty: none.
-std::string dead_or_flat(const AbcOutputs& outputs) {
+Message dead_or_flat(const AbcOutputs& outputs) {
   for (int j = 0; j < 3; ++j) {
     const double response = sensitivity_matrix_of(outputs).row(j).norm();
     if (!(response > 1e-12 * std::abs(outputs(offset_index(j))))) {
-      return fmt::format(
-          "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
+      return Message(
+          "output {output} does not follow gravity: its sensitivity is {sensitivity:.3g}, not above its "
+          "scatter",
           kOutputNames[j], response);
     }
   }
@@ -944,20 +953,20 @@ PublishedResult published_result(const Estimate& estimate, const CalibrationResu
 
 // Fills fits, outputs and the effects of the tolerances, before any judgement. Returns the reason if that is
 // impossible, else an empty string.
-std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
+Message estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
   estimate.series = series_of(selection);
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
     const ReadingSeries& series = estimate.series[i];
     try {
       estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
     } catch (const UndeterminedFit& error) {
-      return not_determined(series, error.what());
+      return not_determined(series, error.message());
     }
     const Eigen::VectorXd& c = estimate.fits[i].coefficients;
     estimate.coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
   }
   estimate.outputs = abc_outputs(estimate.coefficients);
-  const std::string dead = dead_or_flat(estimate.outputs);
+  const Message dead = dead_or_flat(estimate.outputs);
   if (!dead.empty()) return dead;
   correct_for_curvature(record, selection, estimate);
   estimate.cleaned = estimate.curvature->cleaned(estimate.series);
@@ -967,7 +976,7 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
   }
   if (!selection.with_uncertainty) pool_variances(estimate.cleaned_fits, *estimate.curvature, estimate);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
-  std::string reason = dead_output(estimate);
+  Message reason = dead_output(estimate);
   if (!reason.empty()) return reason;
 
   AccelerometerModel accelerometer;
@@ -1005,7 +1014,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   fill_gravity(record, result);
   const double resolution = options.resolution.value_or(0.0);
   if (!(resolution >= 0.0 && std::isfinite(resolution))) {
-    result.why = fmt::format("the resolution is {}; a finite number >= 0 is required", resolution);
+    result.why = Message("the resolution is {resolution}; a finite number >= 0 is required", resolution);
     return result;
   }
 
@@ -1044,8 +1053,9 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
     return result;
   }
   result.verdict = Verdict::kUsable;
-  result.why = fmt::format(
-      "{} angles in three experiments ({}) determine the result, and nothing found contradicts the stated "
+  result.why = Message(
+      "{angles} angles in three experiments ({experiments}) determine the result, and nothing found "
+      "contradicts the stated "
       "uncertainties",
       selection.dwells.size(), angles_of_experiments(selection));
   return result;

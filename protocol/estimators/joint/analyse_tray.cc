@@ -98,7 +98,7 @@ class TrayAnalysis {
   TrayResult result() &&;
 
  private:
-  void set_aside(std::size_t k, const std::string& words);
+  void set_aside(std::size_t k, const Message& words);
   void set_aside_copies();
   void choose_members();
   bool fit_members();
@@ -114,7 +114,7 @@ class TrayAnalysis {
   StageAngles angles_;
   std::vector<std::size_t> members_;
   TrayFit fit_;
-  std::vector<std::pair<std::size_t, std::string>> objections_;  ///< Item and objection to its result.
+  std::vector<std::pair<std::size_t, Message>> objections_;  ///< Item and objection to its result.
   TrayResult out_;
 };
 
@@ -141,8 +141,8 @@ CalibrationResult result_of_one(const RunRecord& record, const ItemFit& own, std
   if (!record.stage_record.record) return joint_result(record, own);
   if (items == 1) return result_with_record(record, own);
   CalibrationResult result = joint_result(record, own);
-  result.diagnostics.notes.emplace_back(
-      "the record of the stage is not used: several items are fitted with the stated sizes of the stage");
+  result.diagnostics.notes.push_back(Message(
+      "the record of the stage is not used: several items are fitted with the stated sizes of the stage"));
   return result;
 }
 
@@ -154,7 +154,7 @@ TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOption
     try {
       own_[k] = fit_item(records[k], options);
     } catch (const UnusableData& error) {
-      own_[k].why = error.what();
+      own_[k].why = error.message();
     }
     out_.items[k].result = result_of_one(records[k], own_[k], records.size());
     out_.items[k].checks = check_record(records[k]);
@@ -167,7 +167,7 @@ double TrayAnalysis::level() const {
   return kFamilyWiseFalseAlarm / static_cast<double>(records_.size() + kTestsOfTheStage);
 }
 
-void TrayAnalysis::set_aside(std::size_t k, const std::string& words) {
+void TrayAnalysis::set_aside(std::size_t k, const Message& words) {
   std::erase(members_, k);
   out_.items[k].why_not = words;
   objections_.emplace_back(k, words);
@@ -185,9 +185,10 @@ void TrayAnalysis::set_aside_copies() {
       }
       if (!(static_cast<double>(same) > kSameReadings * static_cast<double>(records_[k].dwells.size())))
         continue;
-      const std::string words = fmt::format(
-          "items {} and {} have the same readings at {} of {} angles: one item is read twice; see "
-          "which port each is on",
+      const Message words(
+          "items {first} and {second} have the same readings at {same} of {all} angles: one item is read "
+          "twice; "
+          "see which port each is on",
           i + 1, k + 1, same, records_[k].dwells.size());
       objections_.emplace_back(i, words);
       set_aside(k, words);
@@ -215,14 +216,14 @@ void TrayAnalysis::choose_members() {
     // Delays of the items are among the unknowns of the stage that they would share.
     members_.clear();
     for (const std::size_t k : solved)
-      out_.items[k].why_not = "at a constant rate each item is evaluated by itself";
+      out_.items[k].why_not = Message("at a constant rate each item is evaluated by itself");
     return;
   }
   if (members_.empty()) members_ = solved;
   for (const std::size_t k : solved) {
     if (std::find(members_.begin(), members_.end(), k) == members_.end())
       out_.items[k].why_not =
-          "doubtful on its own, so that its readings tell nothing of the stage to the others";
+          Message("doubtful on its own, so that its readings tell nothing of the stage to the others");
   }
 }
 
@@ -258,29 +259,31 @@ void TrayAnalysis::agree() {
     if (!fit_members()) {
       const std::vector<std::size_t> all = members_;
       for (const std::size_t k : all)
-        set_aside(k,
-                  "no stage explains the readings of all items together (the common fit did not converge)");
+        set_aside(
+            k, Message(
+                   "no stage explains the readings of all items together (the common fit did not converge)"));
       return;
     }
     if (test_agreement(fit_) >= level()) return;
     if (members_.size() == 2) {
       const std::vector<std::size_t> both = members_;
       for (const std::size_t k : both)
-        set_aside(k,
-                  fmt::format("items {} and {} contradict each other about the stage (probability {:.1g}), "
-                              "and two cannot tell which of them is wrong: see how they are mounted",
-                              both[0] + 1, both[1] + 1, out_.items[k].probability));
+        set_aside(k, Message("items {first} and {second} contradict each other about the stage (probability "
+                             "{probability:.1g}), "
+                             "and two cannot tell which of them is wrong: see how they are mounted",
+                             both[0] + 1, both[1] + 1, out_.items[k].probability));
       return;
     }
     const std::size_t worst = *std::max_element(members_.begin(), members_.end(), [&](auto a, auto b) {
       return out_.items[a].chi2_given_others / out_.items[a].degrees_of_freedom <
              out_.items[b].chi2_given_others / out_.items[b].degrees_of_freedom;
     });
-    set_aside(worst,
-              fmt::format("it contradicts the other items about the stage: chi2 {:.4g} for {} degrees of "
-                          "freedom (probability {:.1g}); see how it is mounted",
-                          out_.items[worst].chi2_given_others, out_.items[worst].degrees_of_freedom,
-                          out_.items[worst].probability));
+    set_aside(
+        worst,
+        Message("it contradicts the other items about the stage: {chi2}; see how it is mounted",
+                Message("chi2 {chi2:.4g} for {degrees} degrees of freedom (probability {probability:.1g})",
+                        out_.items[worst].chi2_given_others, out_.items[worst].degrees_of_freedom,
+                        out_.items[worst].probability)));
   }
 }
 
@@ -349,9 +352,9 @@ void TrayAnalysis::fill_common() {
     item.result = joint_result(records_[k], own_[k], &fit_.items[i]);
     item.result.joint->iterations = fit_.iterations;
     if (out_.stage->contradicted_sizes.empty()) continue;
-    object_to(item.result, fmt::format("all items together contradict what is stated of the stage: {}",
-                                       fmt::join(out_.stage->contradicted_sizes, "; ")));
-    std::vector<std::string>& sizes = item.result.joint->contradicted_sizes;
+    object_to(item.result, Message("all items together contradict what is stated of the stage: {sizes}",
+                                   out_.stage->contradicted_sizes));
+    std::vector<Message>& sizes = item.result.joint->contradicted_sizes;
     sizes.insert(sizes.end(), out_.stage->contradicted_sizes.begin(), out_.stage->contradicted_sizes.end());
   }
 }
@@ -408,25 +411,25 @@ Covariance18 TrayResult::covariance_of_all_outputs(std::size_t i, std::size_t k)
 }
 
 void judge_tray(TrayResult& tray) {
-  std::vector<std::string> not_usable, doubtful;
+  std::vector<Message> not_usable, doubtful;
   for (std::size_t k = 0; k < tray.items.size(); ++k) {
     const CalibrationResult& result = tray.items[k].result;
-    const std::string words = fmt::format("item {}: {}", k + 1, result.why);
+    const Message words("item {item}: {why}", k + 1, result.why);
     if (result.verdict == Verdict::kNotUsable) not_usable.push_back(words);
     if (result.verdict == Verdict::kDoubtful) doubtful.push_back(words);
   }
   const std::size_t usable = tray.items.size() - not_usable.size() - doubtful.size();
   if (usable == tray.items.size()) {
     tray.verdict = Verdict::kUsable;
-    tray.why =
-        fmt::format("{} {} usable, and agree about the stage", usable, usable == 1 ? "item is" : "items are");
+    tray.why = usable == 1 ? Message("1 item is usable, and agree about the stage")
+                           : Message("{items} items are usable, and agree about the stage", usable);
     return;
   }
   tray.verdict = not_usable.size() == tray.items.size() ? Verdict::kNotUsable : Verdict::kDoubtful;
-  std::vector<std::string> parts{fmt::format("{} of {} items usable", usable, tray.items.size())};
-  if (!not_usable.empty()) parts.push_back(fmt::format("not usable: {}", fmt::join(not_usable, "; ")));
-  if (!doubtful.empty()) parts.push_back(fmt::format("doubtful: {}", fmt::join(doubtful, "; ")));
-  tray.why = fmt::format("{}", fmt::join(parts, "; "));
+  std::vector<Message> parts{Message("{usable} of {all} items usable", usable, tray.items.size())};
+  if (!not_usable.empty()) parts.push_back(Message("not usable: {items}", not_usable));
+  if (!doubtful.empty()) parts.push_back(Message("doubtful: {items}", doubtful));
+  tray.why = in_sequence(parts);
 }
 
 TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& options) {

@@ -21,7 +21,7 @@ struct TrayItemResult {
   /// those of the item's own readings. An item outside the common fit has the result of its own fit.
   CalibrationResult result;
   bool in_common_fit = false;
-  std::string why_not;        ///< Why it is not in the common fit; empty if it is.
+  Message why_not;            ///< Why it is not in the common fit; empty if it is.
   std::vector<Check> checks;  ///< Checks of its record (check_record).
   /// Increase of chi2 by its readings, over that of the other items alone; NaN where it was not tested.
   double chi2_given_others = std::numeric_limits<double>::quiet_NaN();
@@ -53,7 +53,7 @@ struct TrayStage {
   std::vector<StageQuantity> unknowns;
   std::vector<StageStep> steps;     ///< In the order of measurement; empty if their size is zero.
   std::vector<EffectTest> effects;  ///< Tests of the effects against their stated sizes.
-  std::vector<std::string> contradicted_sizes;
+  std::vector<Message> contradicted_sizes;
 };
 
 /// Order: the twelve outputs of Covariance12, then s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree).
@@ -62,7 +62,7 @@ using Covariance18 = Eigen::Matrix<double, 18, 18>;
 /// The result of a run with one item or several.
 struct TrayResult {
   Verdict verdict = Verdict::kNotUsable;
-  std::string why = "not analysed";
+  Message why{"not analysed"};
   std::vector<TrayItemResult> items;  ///< In the order of the records.
   std::optional<TrayStage> stage;
   int iterations = 0;  ///< Iterations of the common fit.

@@ -28,25 +28,25 @@ std::vector<std::string> outputs_that_never_change(const std::vector<EffectReadi
 
 /// The solution, or the reason for its absence.
 std::optional<EffectSolution> solve_or_reason(std::span<const EffectReading> readings,
-                                              const EffectFitOptions& options, std::string& why) {
+                                              const EffectFitOptions& options, Message& why) {
   try {
     EffectSolution solution = solve_effects(readings, options);
     if (solution.fit.converged) return solution;
-    why = fmt::format(
-        "the joint fit did not converge ({} iterations): the readings are not those of the three "
+    why = Message(
+        "the joint fit did not converge ({iterations} iterations): the readings are not those of the three "
         "experiments, or their angles are wrong",
         solution.fit.iterations);
   } catch (const UnusableData& error) {
-    why = error.what();
+    why = error.message();
   }
   return std::nullopt;
 }
 
 /// Noise from angle to angle that the norm of the readings does not show is not noise of the outputs: it
 /// turns them together, as stage errors larger than stated do. The fit without that noise shows which errors.
-std::vector<std::string> hidden_by_process(std::span<const EffectReading> readings, const EffectFit& fit,
-                                           const EffectFitOptions& options, const JointTests& tests,
-                                           const std::string& response_unit) {
+std::vector<Message> hidden_by_process(std::span<const EffectReading> readings, const EffectFit& fit,
+                                       const EffectFitOptions& options, const JointTests& tests,
+                                       const std::string& response_unit) {
   constexpr double kNormIsSound = 1e-3;
   constexpr double kNormWanders = 3.0;  // standard deviations
   const NormAgreement& norm = tests.norm_against_joint;
@@ -55,20 +55,20 @@ std::vector<std::string> hidden_by_process(std::span<const EffectReading> readin
     return {};
   EffectFitOptions white = options;
   white.noise_process = false;
-  std::string why;
+  Message why;
   const std::optional<EffectSolution> solution = solve_or_reason(readings, white, why);
   if (!solution) return {};
   const EffectFit& without = solution->fit;
   const JointTests again = test_joint_fit(readings, without, white);
-  std::vector<std::string> found = contradictions_of(again, response_unit);
+  std::vector<Message> found = contradictions_of(again, response_unit);
   if (!(again.chi2_probability >= again.level))
-    found.push_back(
-        fmt::format("chi2 {:.4g} for {} degrees of freedom", without.chi2, without.chi2_degrees_of_freedom));
+    found.push_back(Message("chi2 {chi2:.4g} for {degrees} degrees of freedom", without.chi2,
+                            without.chi2_degrees_of_freedom));
   if (found.empty()) return {};
-  return {fmt::format(
-      "the readings wander from angle to angle, but their norm does not: the stage does more than "
-      "is stated (without that noise: {})",
-      fmt::join(found, "; "))};
+  return {
+      Message("the readings wander from angle to angle, but their norm does not: the stage does more than "
+              "is stated (without that noise: {found})",
+              in_sequence(found))};
 }
 
 }  // namespace
@@ -91,13 +91,13 @@ ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
     fourth = std::hypot(fourth, 1.5 * own.data.loss * own.data.loss);
   }
   if (own.data.readings.size() < kFewestAngles) {
-    own.why = fmt::format("{} usable angles; the joint estimator needs {} or more", own.data.readings.size(),
-                          kFewestAngles);
+    own.why = Message("{angles} usable angles; the joint estimator needs {needed} or more",
+                      own.data.readings.size(), kFewestAngles);
     return own;
   }
   if (const auto still = outputs_that_never_change(own.data.readings); !still.empty()) {
-    own.why = fmt::format("accelerometer {} does not respond: the same value at every angle",
-                          fmt::join(still, ", "));
+    own.why = Message("accelerometer {accelerometer} does not respond: the same value at every angle",
+                      fmt::format("{}", fmt::join(still, ", ")));
     return own;
   }
   own.solution = solve_or_reason(own.data.readings, own.options, own.why);

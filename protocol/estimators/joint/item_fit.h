@@ -17,9 +17,9 @@ struct ItemFit {
   CollectedReadings data;
   EffectFitOptions options;
   std::optional<EffectSolution> solution;  ///< Absent: `why` gives the reason.
-  std::string why;
+  Message why;
   JointTests tests;
-  std::vector<std::string> hidden;  ///< Stage errors that the noise process hides, in words.
+  std::vector<Message> hidden;  ///< Stage errors that the noise process hides, in words.
 
   ItemFit() = default;
   ItemFit(ItemFit&&) = default;

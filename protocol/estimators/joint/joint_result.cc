@@ -263,11 +263,12 @@ CalibrationResult joint_result(const RunRecord& record, const ItemFit& own, cons
   const CollectedReadings& data = own.data;
   diagnostics.angles_used = static_cast<int>(data.readings.size());
   count_flags(record, diagnostics);
-  if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
+  if (data.clipped > 0)
+    diagnostics.notes.push_back(Message("{angles} clipped angles left out", data.clipped));
   if (data.stuck > 0)
-    diagnostics.notes.push_back(fmt::format("{} angles with a stuck output left out", data.stuck));
+    diagnostics.notes.push_back(Message("{angles} angles with a stuck output left out", data.stuck));
   if (data.not_finite > 0) {
-    diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
+    diagnostics.notes.push_back(Message("{angles} angles without finite readings left out", data.not_finite));
   }
   if (!own.solution) return result;
   const EffectFit& fit = common != nullptr ? *common : own.solution->fit;
@@ -283,7 +284,7 @@ CalibrationResult joint_result(const RunRecord& record, const ItemFit& own, cons
   diagnostics.reciprocal_condition = fit.reciprocal_condition;
   diagnostics.rank = static_cast<int>(fit.unknowns.size());
   judge_joint(fit, own, record, result);
-  for (const std::string& words : own.hidden) {
+  for (const Message& words : own.hidden) {
     object_to(result, words);
     result.joint->contradicted_sizes.push_back(words);
   }

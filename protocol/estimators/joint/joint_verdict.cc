@@ -37,11 +37,16 @@ bool same_effect(const EffectUnknown& a, const EffectUnknown& b) {
   return a.effect == b.effect && a.output == b.output;
 }
 
+/// "hysteresis of u"
+Message name_of(const EffectUnknown& unknown) {
+  if (unknown.output < 0) return effect_words(unknown.effect);
+  return {"{effect} of {output}", effect_words(unknown.effect), "uvw"[unknown.output]};
+}
+
 EffectTest test_effect(const EffectFit& fit, Eigen::Index first, Eigen::Index count) {
   const EffectUnknown& unknown = fit.unknowns[static_cast<std::size_t>(first)];
   EffectTest test;
-  test.name =
-      unknown.output >= 0 ? fmt::format("{} of {}", unknown.effect, "uvw"[unknown.output]) : unknown.effect;
+  test.name = name_of(unknown);
   test.key = unknown.key;
   Eigen::VectorXd relative(count);
   Eigen::MatrixXd predicted = Eigen::MatrixXd::Identity(count, count);
@@ -69,7 +74,7 @@ EffectTest test_effect(const EffectFit& fit, Eigen::Index first, Eigen::Index co
 /// Tests the estimates of the step errors without memory against their stated size.
 EffectTest test_steps(const EffectFit& fit, double step_sd) {
   EffectTest test;
-  test.name = "step errors";
+  test.name = Message("step errors");
   test.key = "step_deg";
   double squares = 0.0;
   double expected = 0.0;
@@ -93,8 +98,7 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
                          Eigen::Index first, Eigen::Index count) {
   const EffectUnknown& unknown = fit.left_out[static_cast<std::size_t>(first)];
   EffectTest test;
-  test.name =
-      unknown.output >= 0 ? fmt::format("{} of {}", unknown.effect, "uvw"[unknown.output]) : unknown.effect;
+  test.name = name_of(unknown);
   test.key = unknown.key;
   test.stated_zero = true;
   const auto columns = fit.left_out_design.middleCols(first, count);
@@ -120,7 +124,7 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
 /// Tests whether a larger size explains the readings better than a noise process.
 EffectTest test_evidence(const SizeEvidence& evidence) {
   EffectTest test;
-  test.name = "size";
+  test.name = Message("size");
   test.key = evidence.key;
   test.times_stated = evidence.times;
   test.probability = std::exp(-std::max(0.0, evidence.log_ratio));
@@ -208,18 +212,19 @@ void add_steps(const EffectFit& fit, double step_sd, std::vector<EffectTest>& te
     tests.push_back(test_steps(fit, step_sd));
 }
 
-std::string words_about_noise(const EffectFit& fit, const RunRecord& record) {
+Message words_about_noise(const EffectFit& fit, const RunRecord& record) {
   if (!wanders(fit)) return {};
-  return fmt::format(
-      "the readings of {} wander from angle to angle: {:.2g} times their uncertainty, correlated over some "
-      "{:.0f} angles (probability {:.3f}); it is in the uncertainties",
-      record.source.empty() ? "this run" : record.source, fit.noise.tau, fit.noise.rho,
-      fit.noise.process_probability);
+  return Message(
+      "the readings of {outputs} wander from angle to angle: {times:.2g} times their uncertainty, correlated "
+      "over some "
+      "{angles:.0f} angles (probability {probability:.3f}); it is in the uncertainties",
+      record.source.empty() ? Message("this run") : Message("{run}", record.source), fit.noise.tau,
+      fit.noise.rho, fit.noise.process_probability);
 }
 
 /// Keys of the effects that the run shows to be smaller than stated, and how many times; empty if none is
 /// clearly so.
-std::string smaller_effects(const std::vector<EffectTest>& effects) {
+Message smaller_effects(const std::vector<EffectTest>& effects) {
   std::vector<const EffectTest*> smaller;
   for (const EffectTest& test : effects) {
     if (test.stated_zero || test.instead_of_noise || test.degrees_of_freedom < 1) continue;
@@ -233,32 +238,35 @@ std::string smaller_effects(const std::vector<EffectTest>& effects) {
             [](const EffectTest* a, const EffectTest* b) { return a->times_stated < b->times_stated; });
   constexpr std::size_t kNamed = 3;
   if (smaller.size() > kNamed) smaller.resize(kNamed);
-  std::string words;
+  std::vector<Message> words;
   for (const EffectTest* test : smaller)
-    words += fmt::format("{}{} {:.2g}", words.empty() ? "" : ", ", test->key, 1.0 / test->times_stated);
-  return words;
+    words.push_back(Message("{key} {times:.2g}", test->key, 1.0 / test->times_stated));
+  return in_sequence(words, ", ");
 }
 
 /// chi2 in words, with what a low one means.
-std::string words_about_chi2(const EffectFit& fit, const JointTests& tests, Diagnostics& diagnostics) {
+Message words_about_chi2(const EffectFit& fit, const JointTests& tests, Diagnostics& diagnostics) {
   const double above = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   const double below = chi2_lower_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   diagnostics.chi2 = fit.chi2;
   diagnostics.chi2_probability = above;
   diagnostics.low_chi2_probability = below;
   if (!(below < kLowChi2))
-    return fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})", fit.chi2,
-                       fit.chi2_degrees_of_freedom, above);
+    return Message("chi2 {chi2:.4g} for {degrees} degrees of freedom (probability {probability:.2g})",
+                   fit.chi2, fit.chi2_degrees_of_freedom, above);
   diagnostics.sizes_too_large = std::sqrt(fit.chi2_degrees_of_freedom / fit.chi2);
-  diagnostics.notes.push_back(fmt::format(
+  diagnostics.notes.push_back(Message(
       "chi2 is far below its degrees of freedom: the stated sizes of effects or the uncertainties of the "
-      "readings are too large, {:.3g} times over all; no uncertainty of the result is made smaller by it",
+      "readings are too large, {times:.3g} times over all; no uncertainty of the result is made smaller by "
+      "it",
       *diagnostics.sizes_too_large));
-  if (const std::string smaller = smaller_effects(tests.effects); !smaller.empty())
-    diagnostics.notes.push_back(fmt::format(
-        "stated sizes that are too large, and how many times by what this run shows: {}", smaller));
-  return fmt::format("chi2 {:.4g} for {} degrees of freedom, far below (probability of one as low {:.1g})",
-                     fit.chi2, fit.chi2_degrees_of_freedom, below);
+  if (const Message smaller = smaller_effects(tests.effects); !smaller.empty())
+    diagnostics.notes.push_back(Message(
+        "stated sizes that are too large, and how many times by what this run shows: {sizes}", smaller));
+  return Message(
+      "chi2 {chi2:.4g} for {degrees} degrees of freedom, far below (probability of one as low "
+      "{probability:.1g})",
+      fit.chi2, fit.chi2_degrees_of_freedom, below);
 }
 
 /// Adds a note on the meaning of O where an offset drifted by more than its uncertainty explains.
@@ -266,9 +274,10 @@ void note_drifts(CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& end = result.joint->drift_at_end[j];
     if (!(std::abs(end.value) > kDriftTold * end.standard_uncertainty)) continue;
-    result.diagnostics.notes.push_back(fmt::format(
-        "the offset of {} drifted: O_{} is its mean over the run; at the end of the run it was {:+.2g} "
-        "{} from that (standard uncertainty {:.1g} {}), {:.6g} {}",
+    result.diagnostics.notes.push_back(Message(
+        "the offset of {output} drifted: O_{of_output} is its mean over the run; at the end of the run it "
+        "was {change:+.2g} "
+        "{unit} from that (standard uncertainty {uncertainty:.1g} {u_unit}), {significance:.6g} {meaning}",
         "uvw"[j], "uvw"[j], end.value, end.unit, end.standard_uncertainty, end.unit,
         result.offset[j].value + end.value, end.unit));
   }
@@ -276,18 +285,19 @@ void note_drifts(CalibrationResult& result) {
 
 }  // namespace
 
-std::string words_of(const EffectTest& test) {
+Message words_of(const EffectTest& test) {
   if (test.stated_zero)
-    return fmt::format("{} is stated as zero, and is not ({}; probability {:.1g})", test.name, test.key,
-                       test.probability);
+    return Message("{effect} is stated as zero, and is not ({test}; probability {probability:.1g})",
+                   test.name, test.key, test.probability);
   if (test.instead_of_noise)
-    return fmt::format(
-        "the readings wander from angle to angle, but {} times the stated size explains them better than "
+    return Message(
+        "the readings wander from angle to angle, but {times} times the stated size explains them better "
+        "than "
         "noise "
-        "({}; probability below {:.1g})",
+        "({test}; probability below {probability:.1g})",
         test.times_stated, test.key, test.probability);
-  return fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
-                     test.times_stated, test.key, test.probability);
+  return Message("{effect} is {times:.1f} times the stated size ({test}; probability {probability:.1g})",
+                 test.name, test.times_stated, test.key, test.probability);
 }
 
 std::vector<EffectTest> test_sizes(const EffectFit& fit, double step_sd) {
@@ -320,24 +330,25 @@ JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectF
   return out;
 }
 
-std::vector<std::string> contradicted_sizes(const JointTests& tests) {
-  std::vector<std::string> out;
+std::vector<Message> contradicted_sizes(const JointTests& tests) {
+  std::vector<Message> out;
   for (const EffectTest& test : tests.effects) {
     if (!test.passed) out.push_back(words_of(test));
   }
   return out;
 }
 
-std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit) {
-  std::vector<std::string> out = contradicted_sizes(tests);
+std::vector<Message> contradictions_of(const JointTests& tests, const std::string& response_unit) {
+  std::vector<Message> out = contradicted_sizes(tests);
   if (tests.norm_against_joint.probability < tests.level)
     out.push_back(words_of(tests.norm_against_joint, response_unit));
   for (std::size_t j = 0; j < 3; ++j) {
     if (std::abs(tests.autocorrelation[j]) <= tests.autocorrelation_limit) continue;
-    out.push_back(fmt::format(
-        "successive residuals of {} are correlated ({:.1f} standard deviations): the model does not explain "
-        "the readings",
-        "uvw"[j], tests.autocorrelation[j]));
+    out.push_back(
+        Message("successive residuals of {outputs} are correlated ({deviations:.1f} standard deviations): "
+                "the model does not explain "
+                "the readings",
+                "uvw"[j], tests.autocorrelation[j]));
   }
   return out;
 }
@@ -354,46 +365,47 @@ void judge_joint(const EffectFit& fit, const ItemFit& own, const RunRecord& reco
   result.joint->effects = tests.effects;
   result.joint->contradicted_sizes = contradicted_sizes(tests);
   result.joint->norm_against_joint = tests.norm_against_joint;
-  std::vector<std::string> contradictions;
-  std::string about_chi2;
+  std::vector<Message> contradictions;
+  Message about_chi2;
   if (options.white_known) {
     about_chi2 = words_about_chi2(fit, tests, diagnostics);
     if (!(diagnostics.chi2_probability >= tests.level)) {
-      contradictions.push_back(about_chi2 +
-                               ": the model does not explain the readings within their uncertainties");
+      contradictions.push_back(
+          Message("{chi2}: the model does not explain the readings within their uncertainties", about_chi2));
     }
   } else {
     const Eigen::Vector3d u = fit.noise.white.cwiseProduct(own.data.readings.front().u);
-    about_chi2 = fmt::format(
-        "the readings carry no uncertainty: noise {:.2g}, {:.2g}, {:.2g} {} estimated from the "
+    about_chi2 = Message(
+        "the readings carry no uncertainty: noise {u:.2g}, {v:.2g}, {w:.2g} {unit} estimated from the "
         "residuals, so chi2 cannot test the model",
         u(0), u(1), u(2), record.response_unit);
     diagnostics.notes.push_back(about_chi2);
   }
-  for (std::string& words : contradictions_of(tests, record.response_unit))
+  for (Message& words : contradictions_of(tests, record.response_unit))
     contradictions.push_back(std::move(words));
-  const std::string about_nonlinearity =
-      result.joint->nonlinearity_fitted ? "non-linearity fitted" : "non-linearity left out, as asked";
+  const Message about_nonlinearity = result.joint->nonlinearity_fitted
+                                         ? Message("non-linearity fitted")
+                                         : Message("non-linearity left out, as asked");
   diagnostics.notes.push_back(about_nonlinearity);
   note_drifts(result);
   if (!tests.norm_against_joint.done)
-    diagnostics.notes.push_back("the norm fit could not be compared with this one: " +
-                                tests.norm_against_joint.why_not);
-  if (std::string words = words_about_noise(fit, record); !words.empty())
+    diagnostics.notes.push_back(
+        Message("the norm fit could not be compared with this one: {why}", tests.norm_against_joint.why_not));
+  if (Message words = words_about_noise(fit, record); !words.empty())
     diagnostics.notes.push_back(std::move(words));
   for (const Undetermined& outputs : undetermined_outputs(judged_outputs(result, fit.shares, fit.unit),
                                                           record.tolerances, EffectsAre::kEstimated))
     (outputs.doubtful ? contradictions : diagnostics.notes).push_back(outputs.words);
   if (!options.mean_step) {
     contradictions.push_back(
-        "the mean step errors were left out, so the orientation about X is not what it seems");
+        Message("the mean step errors were left out, so the orientation about X is not what it seems"));
   }
   if (contradictions.empty()) {
     result.verdict = Verdict::kUsable;
-    result.why = fmt::format("{}; {}", about_chi2, about_nonlinearity);
+    result.why = in_sequence({about_chi2, about_nonlinearity});
   } else {
     result.verdict = Verdict::kDoubtful;
-    result.why = fmt::format("{}; {}", fmt::join(contradictions, "; "), about_nonlinearity);
+    result.why = in_sequence({in_sequence(contradictions), about_nonlinearity});
   }
 }
 

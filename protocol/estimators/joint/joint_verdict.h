@@ -43,13 +43,13 @@ bool wanders(const EffectFit& fit);
 std::vector<EffectTest> test_sizes(const EffectFit& fit, double step_sd);
 
 /// "wobble of X is 9.3 times the stated size (wobble_urad; probability 1e-12)".
-std::string words_of(const EffectTest& test);
+Message words_of(const EffectTest& test);
 
 /// The stated sizes that the run contradicts, in words. They concern every result that rests on them.
-std::vector<std::string> contradicted_sizes(const JointTests& tests);
+std::vector<Message> contradicted_sizes(const JointTests& tests);
 
 /// One sentence for each failed test of a size, of the norm fit and of the autocorrelation.
-std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit);
+std::vector<Message> contradictions_of(const JointTests& tests, const std::string& response_unit);
 
 /// Fills in the verdict, its reasons and the notes of a result.
 /// @param fit  the fit of the result

@@ -201,7 +201,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
                                       const EffectFitOptions& options) {
   NormAgreement out;
   if (!options.sweeps.empty()) {
-    out.why_not = "where the stage turns, centripetal acceleration and delays add to the norm";
+    out.why_not = Message("where the stage turns, centripetal acceleration and delays add to the norm");
     return out;
   }
   const ModelReadings model(readings, fit, options);
@@ -216,7 +216,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
                             .common_variance = 0.0};
     norm = solve_norm(model.poses(centre, size), assumed);
   } catch (const UnusableData& error) {
-    out.why_not = error.what();
+    out.why_not = error.message();
     return out;
   }
   Nine units = Nine::Constant(size);
@@ -224,8 +224,9 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
   const Nine u_norm = norm.covariance.diagonal().cwiseSqrt();  // for readings of about 1
   if (!(u_norm.head<3>().maxCoeff() < kLargestSensitivityU &&
         u_norm.segment<3>(3).maxCoeff() < kLargestAngleU)) {
-    out.why_not = fmt::format(
-        "{} angles determine the intrinsic outputs only to {:.2g} (sensitivities) and {:.2g} degrees by the "
+    out.why_not = Message(
+        "{angles} angles determine the intrinsic outputs only to {sensitivity:.2g} (sensitivities) and "
+        "{degrees:.2g} degrees by the "
         "norm "
         "alone",
         readings.size(), u_norm.head<3>().maxCoeff(), u_norm.segment<3>(3).maxCoeff());
@@ -267,21 +268,26 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
   return out;
 }
 
-std::string words_of(const NormAgreement& test, const std::string& response_unit) {
-  std::vector<std::string> sizes;
+Message words_of(const NormAgreement& test, const std::string& response_unit) {
+  std::vector<Message> sizes;
   for (Eigen::Index i = 0; i < 9; ++i) {
     const double u = test.standard_uncertainty(i);
     if (!(std::abs(test.difference(i)) > 3.0 * u)) continue;
     const std::string unit = i < 3 ? response_unit + "/g_loc" : i < 6 ? "degree" : response_unit;
-    sizes.push_back(fmt::format("{} by {:+.2g} {} ({:.1f} times what the model explains)",
-                                kIntrinsicSymbols[static_cast<std::size_t>(i)], test.difference(i), unit,
-                                std::abs(test.difference(i)) / u));
+    sizes.push_back(
+        Message("{output} by {difference:+.2g} {unit} ({times:.1f} times what the model explains)",
+                kIntrinsicSymbols[static_cast<std::size_t>(i)], test.difference(i), unit,
+                std::abs(test.difference(i)) / u));
   }
-  return fmt::format(
+  if (sizes.empty())
+    return {
+        "the stage has errors that the model does not have: the norm fit, which uses no angles, differs from "
+        "the joint fit (probability {probability:.1g})",
+        test.probability};
+  return {
       "the stage has errors that the model does not have: the norm fit, which uses no angles, differs from "
-      "the "
-      "joint fit{}{} (probability {:.1g})",
-      sizes.empty() ? "" : " in ", fmt::join(sizes, ", "), test.probability);
+      "the joint fit in {outputs} (probability {probability:.1g})",
+      in_sequence(sizes, ", "), test.probability};
 }
 
 }  // namespace abcal

@@ -17,6 +17,6 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
                                       const EffectFitOptions& options);
 
 /// "the stage has errors that the model does not have: norm less joint is ... (probability ...)".
-std::string words_of(const NormAgreement& test, const std::string& response_unit);
+Message words_of(const NormAgreement& test, const std::string& response_unit);
 
 }  // namespace abcal

@@ -209,8 +209,8 @@ void leave_out_disturbed(Estimate& at) {
 
 /// Sentences that make the verdict.
 struct Judgement {
-  std::vector<std::string> contradictions;
-  std::string about_scatter;
+  std::vector<Message> contradictions;
+  Message about_scatter;
 };
 
 /// Tests chi2 for stated uncertainties, else reports the scatter. Adds a common scatter where chi2 fails.
@@ -218,24 +218,26 @@ void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement)
   const int dof = at.degrees_of_freedom();
   if (!at.u_known) {
     if (static_cast<int>(at.used.size()) > kUnknowns) {
-      judgement.about_scatter = fmt::format(
-          "uncertainties from the scatter of the norm, {:.2g} g_loc with {:.3g} degrees of freedom",
+      judgement.about_scatter = Message(
+          "uncertainties from the scatter of the norm, {scatter:.2g} g_loc with {degrees:.3g} degrees of "
+          "freedom",
           std::sqrt(at.model.common_variance), at.scatter_degrees);
     } else {
-      judgement.contradictions.emplace_back(
-          "no uncertainty is given: the poses state none, and none are left over to show their scatter");
+      judgement.contradictions.push_back(Message(
+          "no uncertainty is given: the poses state none, and none are left over to show their scatter"));
     }
     return;
   }
   diagnostics.chi2 = at.solution.weighted_squares;
   if (dof <= 0) {
-    judgement.about_scatter = "as many equations as unknowns: nothing tests the result";
+    judgement.about_scatter = Message("as many equations as unknowns: nothing tests the result");
     return;
   }
   const double probability = chi2_tail(*diagnostics.chi2, dof);
   diagnostics.chi2_probability = probability;
-  judgement.about_scatter = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})",
-                                        *diagnostics.chi2, dof, probability);
+  judgement.about_scatter =
+      Message("chi2 {chi2:.4g} for {degrees} degrees of freedom (probability {probability:.2g})",
+              *diagnostics.chi2, dof, probability);
   if (probability >= kChi2Level) return;
   // A variance common to all poses that makes chi2 equal its expectation (Paule and Mandel).
   double low = 0.0;
@@ -246,12 +248,10 @@ void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement)
     (at.solution.weighted_squares > dof ? low : high) = at.model.common_variance;
   }
   at.scatter_degrees = at.solution.scatter_degrees;
-  judgement.contradictions.push_back(
-      judgement.about_scatter +
-      fmt::format(
-          ": the norm is not constant within the readings' uncertainties and the effects of the item; a "
-          "scatter of {:.2g} g_loc was added to them",
-          std::sqrt(high)));
+  judgement.contradictions.push_back(Message(
+      "{chi2}: the norm is not constant within the readings' uncertainties and the effects of the item; "
+      "a scatter of {scatter:.2g} g_loc was added to them",
+      judgement.about_scatter, std::sqrt(high)));
 }
 
 void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult& result) {
@@ -326,9 +326,9 @@ void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& ju
   norm.sphere_coverage = std::clamp(3.0 * symmetric_eigen(scatter).values(0), 0.0, 1.0);
   const auto [radius, cap] = largest_empty_cap(directions);
   if (radius > kNamedCap) {
-    norm.coverage_words =
-        fmt::format("no pose within {:.0f} degrees of the direction (u, v, w) = ({:.1f}, {:.1f}, {:.1f})",
-                    radius, cap.x(), cap.y(), cap.z());
+    norm.coverage_words = Message(
+        "no pose within {radius:.0f} degrees of the direction (u, v, w) = ({u:.1f}, {v:.1f}, {w:.1f})",
+        radius, cap.x(), cap.y(), cap.z());
     result.diagnostics.notes.push_back(norm.coverage_words);
   }
   if (radius > kDoubtfulCap) judgement.contradictions.push_back(norm.coverage_words);
@@ -339,24 +339,29 @@ void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationR
                    Judgement& judgement) {
   NormResult& norm = *result.norm;
   norm.poses_left_out = static_cast<int>(at.left_out.size());
-  std::vector<std::string> words;
+  std::vector<Message> words;
   for (const auto& [place, residual] : at.left_out) {
     norm.left_out.emplace_back(static_cast<int>(place) + 1, residual);
-    const std::string& name = poses[place].name;
-    words.push_back(fmt::format("{} ({:+.2g} %)", name.empty() ? fmt::format("pose {}", place + 1) : name,
-                                100.0 * residual));
+    const Message& name = poses[place].name;
+    words.push_back(Message("{pose} ({change:+.2g} %)",
+                            name.empty() ? Message("pose {number}", place + 1) : name, 100.0 * residual));
   }
-  const std::string rule = fmt::format(
-      "{:g} robust standard deviations of the others{}", kNormOutlier,
-      at.u_known ? fmt::format(" and more than {:g} of its own uncertainties", kNormOutlier) : "");
+  const Message rule =
+      at.u_known ? Message(
+                       "{times:g} robust standard deviations of the others and more than {own:g} of its own "
+                       "uncertainties",
+                       kNormOutlier, kNormOutlier)
+                 : Message("{times:g} robust standard deviations of the others", kNormOutlier);
   if (!words.empty()) {
-    result.diagnostics.notes.push_back(fmt::format(
-        "{} of {} poses left out, whose norm is off by more than {}{}: {}", words.size(), poses.size(), rule,
-        std::isfinite(at.limit) ? fmt::format(" ({:.2g} %)", 100.0 * at.limit) : "", fmt::join(words, ", ")));
+    result.diagnostics.notes.push_back(
+        Message("{count} of {all} poses left out, whose norm is off by more than {rule}{limit}: {poses}",
+                words.size(), poses.size(), rule,
+                std::isfinite(at.limit) ? Message(" ({limit:.2g} %)", 100.0 * at.limit) : Message(),
+                in_sequence(words, ", ")));
   }
   if (at.too_many) {
     judgement.contradictions.push_back(
-        fmt::format("more than a quarter of the poses are off by more than {}", rule));
+        Message("more than a quarter of the poses are off by more than {rule}", rule));
   }
 }
 
@@ -389,18 +394,18 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
   list_left_out(poses, at, result, judgement);
   if (at.model.orthogonality > 0.0) {
     diagnostics.notes.push_back(
-        fmt::format("{} poses are fewer than the nine unknowns: the angles between the axes are taken as 90 "
-                    "degrees with the stated standard uncertainty of {:g} degree ([item_uncertainty] "
-                    "orthogonality_deg)",
-                    poses.size(), sizes.orthogonality.deg()));
+        Message("{poses} poses are fewer than the nine unknowns: the angles between the axes are taken as 90 "
+                "degrees with the stated standard uncertainty of {uncertainty:g} degree ([item_uncertainty] "
+                "orthogonality_deg)",
+                poses.size(), sizes.orthogonality.deg()));
   }
   if (judgement.contradictions.empty()) {
     result.verdict = Verdict::kUsable;
-    result.why =
-        fmt::format("{} poses, norm constant to {:.2g} (rms); {}", norm.poses, rms, judgement.about_scatter);
+    result.why = Message("{poses} poses, norm constant to {rms:.2g} (rms); {scatter}", norm.poses, rms,
+                         judgement.about_scatter);
   } else {
     result.verdict = Verdict::kDoubtful;
-    result.why = fmt::format("{}", fmt::join(judgement.contradictions, "; "));
+    result.why = in_sequence(judgement.contradictions);
   }
 }
 
@@ -429,7 +434,7 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
     estimate(poses, sizes, result);
   } catch (const UnusableData& error) {
     result.verdict = Verdict::kNotUsable;
-    result.why = error.what();
+    result.why = error.message();
   }
 }
 
@@ -456,9 +461,10 @@ struct RecordPoses {
     // An uncertainty of zero means that it is not known (a dwell without any scatter).
     if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
     if (dwell.experiment > 0) {
-      pose.name = fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
+      pose.name =
+          Message("experiment {experiment}, alpha = {angle:g} degrees", dwell.experiment, dwell.alpha.deg());
     } else if (dwell.role == DwellRole::kCheck) {
-      pose.name = fmt::format("check pose {}", dwell.n);
+      pose.name = Message("check pose {number}", dwell.n);
     }
     poses.push_back(std::move(pose));
     dwells.push_back(&dwell);
@@ -527,12 +533,12 @@ CalibrationResult analyse_norm(const RunRecord& record) {
   }
   count_flags(record, result.diagnostics);
   if (all.clipped > 0)
-    result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", all.clipped));
+    result.diagnostics.notes.push_back(Message("{poses} clipped poses left out", all.clipped));
   if (all.stuck > 0)
-    result.diagnostics.notes.push_back(fmt::format("{} poses with a stuck output left out", all.stuck));
+    result.diagnostics.notes.push_back(Message("{poses} poses with a stuck output left out", all.stuck));
   if (all.not_finite > 0) {
     result.diagnostics.notes.push_back(
-        fmt::format("{} poses without finite readings left out", all.not_finite));
+        Message("{poses} poses without finite readings left out", all.not_finite));
   }
   all.take_signs(record);
   analyse_into(all.poses, record.tolerances, result);

@@ -15,7 +15,7 @@ struct Pose {
   Eigen::Vector3d reading = Eigen::Vector3d::Zero();  ///< r_u, r_v, r_w (R)
   std::optional<Eigen::Vector3d> u;                   ///< Standard uncertainties (R), greater than 0.
   std::optional<double> t;  ///< Time, -1/2 to 1/2 over the run; absent: evenly in the order given.
-  std::string name;         ///< "experiment 1, alpha = 5 degrees"; empty: its place in the order.
+  Message name;             ///< "experiment 1, alpha = 5 degrees"; empty: its place in the order.
   /// Mean signs with which the hysteresis acts (ArrivalSigns); absent: those of the changes of the readings.
   std::optional<Eigen::Vector3d> sign{};
 };

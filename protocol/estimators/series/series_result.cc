@@ -25,9 +25,10 @@ RunRecord with_sizes_of_record(const RunRecord& record) {
   return out;
 }
 
-std::string words_of_contradiction(const EffectTest& test) {
-  return fmt::format("{} is {:.1f} times as far from the record as it expects (probability {:.1g})",
-                     test.name, test.times_stated, test.probability);
+Message words_of_contradiction(const EffectTest& test) {
+  return {
+      "{effect} is {times:.1f} times as far from the record as it expects (probability {probability:.1g})",
+      test.name, test.times_stated, test.probability};
 }
 
 StageRecordUse use_of(const StageRecord& record, double age_months, std::vector<EffectTest> tests) {
@@ -44,25 +45,27 @@ StageRecordUse use_of(const StageRecord& record, double age_months, std::vector<
 }
 
 /// Reports which record was used, and objects if the run contradicts it.
-void report_record(const StageRecordUse& use, const std::string& furthest, CalibrationResult& result) {
-  result.diagnostics.notes.push_back(fmt::format(
-      "the record of the stage is used: {}, learned {} from {} runs, {:.1f} months before this run "
-      "(SHA-256 {})",
-      use.stage, use.learned_utc.substr(0, 10), use.runs, use.age_months,
-      use.sha256.empty() ? "not known" : use.sha256.substr(0, 16)));
+void report_record(const StageRecordUse& use, const Message& furthest, CalibrationResult& result) {
+  result.diagnostics.notes.push_back(
+      Message("the record of the stage is used: {stage}, learned {date} from {runs} runs, {age:.1f} months "
+              "before this run "
+              "(SHA-256 {hash})",
+              use.stage, use.learned_utc.substr(0, 10), use.runs, use.age_months,
+              use.sha256.empty() ? Message("not known") : Message("{hash}", use.sha256.substr(0, 16))));
   if (use.age_months > use.validity_months)
-    result.diagnostics.notes.push_back(fmt::format(
-        "the record of the stage is older than its validity of {:.1f} months; what may have changed "
+    result.diagnostics.notes.push_back(Message(
+        "the record of the stage is older than its validity of {months:.1f} months; what may have changed "
         "since is in the uncertainties",
         use.validity_months));
   if (use.agrees) return;
-  std::string words;
+  std::vector<Message> words;
   for (const EffectTest& test : use.tests)
-    if (!test.passed) words += (words.empty() ? "" : "; ") + words_of_contradiction(test);
-  object_to(result,
-            fmt::format("this run contradicts the record of its stage: {}; furthest from it: {}; learn the "
-                        "stage again, or analyse without the record",
-                        words, furthest));
+    if (!test.passed) words.push_back(words_of_contradiction(test));
+  object_to(
+      result,
+      Message("this run contradicts the record of its stage: {tests}; furthest from it: {furthest}; learn "
+              "the stage again, or analyse without the record",
+              words, furthest));
 }
 
 }  // namespace
@@ -79,12 +82,13 @@ CalibrationResult result_with_record(const RunRecord& record, const ItemFit& own
   const FitWithRecord with = fit_with_record(own.data, *own.solution, stage, record.stage_record.age_months);
   if (!with.converged) {
     CalibrationResult result = joint_result(record, own);
-    object_to(result, "the fit with the record of the stage did not converge; this result is without it");
+    object_to(result,
+              Message("the fit with the record of the stage did not converge; this result is without it"));
     return result;
   }
   CalibrationResult result = joint_result(with_sizes_of_record(record), own, &with.fit);
   result.stage_record = use_of(stage, record.stage_record.age_months, with.tests);
-  report_record(*result.stage_record, with.largest, result);
+  report_record(*result.stage_record, Message("{what}", with.largest), result);
   return result;
 }
 
@@ -99,7 +103,7 @@ SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const int>
     if (item < units.size()) of_run.unit = units[item];
     out.own.push_back(std::make_unique<ItemFit>(fit_item(records[k], of_run)));
     const ItemFit& own = *out.own.back();
-    if (!own.solution) throw UnusableData(fmt::format("{}: {}", records[k].source, own.why));
+    if (!own.solution) throw UnusableData(Message("{run}: {why}", records[k].source, own.why));
     if (item == units.size()) units.push_back(own.solution->fit.unit);
     out.alone.push_back(joint_result(records[k], own));
     out.information.push_back(run_information(own.data, *own.solution));
@@ -136,20 +140,26 @@ CalibrationResult analyse_series(std::span<const RunRecord> records, const Joint
     result.source += (k == 0 ? "" : ", ") + records[k].source;
     result.series.push_back(std::move(member));
     if (k > 0 && each.alone[k].verdict != Verdict::kUsable)
-      object_to(result, fmt::format("{} alone: {}", records[k].source, each.alone[k].why));
+      object_to(result, Message("{run} alone: {why}", records[k].source, each.alone[k].why));
   }
-  result.diagnostics.notes.push_back(fmt::format(
-      "one fit of {} runs in {} {}; the sensitivity matrix is that of the mounting of {}", records.size(),
-      mountings.size(), mountings.size() == 1 ? "mounting" : "mountings", first.source));
+  result.diagnostics.notes.push_back(
+      mountings.size() == 1
+          ? Message("one fit of {runs} runs in 1 mounting; the sensitivity matrix is that of the mounting of "
+                    "{run}",
+                    records.size(), first.source)
+          : Message(
+                "one fit of {runs} runs in {count} mountings; the sensitivity matrix is that of the mounting "
+                "of {run}",
+                records.size(), mountings.size(), first.source));
   const double probability = chi2_tail(series.chi2, series.degrees_of_freedom);
   if (probability < kFamilyWiseFalseAlarm)
-    object_to(result, "the runs contradict each other: see that they are of one item on one stage");
+    object_to(result, Message("the runs contradict each other: see that they are of one item on one stage"));
   if (stage.record) {
     std::vector<EffectTest> tests = test_state(each.information.front(), series.runs.front(),
                                                *series_options.stage, stage.record->repeatabilities);
     judge_record(tests);
     result.stage_record = use_of(*stage.record, stage.age_months, std::move(tests));
-    report_record(*result.stage_record, "its first run", result);
+    report_record(*result.stage_record, Message("its first run"), result);
   }
   return result;
 }

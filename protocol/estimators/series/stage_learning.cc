@@ -100,7 +100,7 @@ struct UncertainSize {
 /// Differences d with the prior covariance P and the posterior one Q: d' (P - Q)^+ d. Where a size is
 /// uncertain, the probability is the mean over its distribution, as Student's t is for a variance from few
 /// values.
-EffectTest test_part(const std::string& name, const Eigen::VectorXd& difference, const Eigen::MatrixXd& prior,
+EffectTest test_part(const Message& name, const Eigen::VectorXd& difference, const Eigen::MatrixXd& prior,
                      const Eigen::MatrixXd& posterior, const UncertainSize& uncertain = {}) {
   EffectTest test;
   test.name = name;
@@ -209,7 +209,7 @@ std::vector<EffectTest> test_state(const RunInformation& run, const SeriesRunRes
             by_error(static_cast<Eigen::Index>(i), k) = follows(own[i], k);
       uncertain = {covariance_of_root(by_error), size.rms, probable_sizes(size)};
     }
-    out.push_back(test_part(part, difference, block_of(record.covariance, own),
+    out.push_back(test_part(Message("{part}", part), difference, block_of(record.covariance, own),
                             block_of(found.covariance, places), uncertain));
   }
   return out;
@@ -252,8 +252,8 @@ std::vector<EffectTest> compare_states(const StageState& earlier, const StageSta
     const Eigen::MatrixXd of_earlier = block_of(earlier.covariance, before);
     const Eigen::MatrixXd of_later = block_of(later.covariance, after);
     // Independent ones: the covariance of the difference is the sum.
-    out.push_back(is_continued ? test_part(part, difference, of_earlier, of_later)
-                               : test_part(part, difference, of_earlier + of_later,
+    out.push_back(is_continued ? test_part(Message("{part}", part), difference, of_earlier, of_later)
+                               : test_part(Message("{part}", part), difference, of_earlier + of_later,
                                            Eigen::MatrixXd::Zero(of_later.rows(), of_later.cols())));
   }
   return out;

@@ -9,6 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "protocol/messages/message.h"
+
 namespace abcal {
 
 /// A value with its uncertainty and unit. NaN: not determined; a report prints no number for it. An absent
@@ -92,7 +94,7 @@ struct Check {
   double limit = std::numeric_limits<double>::quiet_NaN();  ///< Limit of |found|.
   std::string unit;
   bool passed = true;
-  std::string words;  ///< The error, its place and its possible causes; empty where it passed.
+  Message words;  ///< The error, its place and its possible causes; empty where it passed.
 };
 
 struct Diagnostics {
@@ -113,7 +115,7 @@ struct Diagnostics {
   int angles_flagged = 0;
   std::vector<FlagCount> flags;
   std::vector<Check> checks;
-  std::vector<std::string> notes;  ///< Sentences that a reader should see with the verdict.
+  std::vector<Message> notes;  ///< Sentences that a reader should see with the verdict.
 };
 
 /// The model equation at zero (IEEE 1293): output j at a specific force a (g_loc) along its own axis is
@@ -125,7 +127,7 @@ struct ModelEquation {
 
 /// An effect that was estimated, and whether its size agrees with the stated one.
 struct EffectTest {
-  std::string name;            ///< "wobble of X", "hysteresis of u"
+  Message name;                ///< "wobble of X", "hysteresis of u"
   std::string key;             ///< Key of its size in the bench file.
   double times_stated = 0.0;   ///< Root mean square of its unknowns over their stated standard uncertainty.
   double chi2 = 0.0;           ///< Estimate against the prediction of the stated size.
@@ -152,7 +154,7 @@ struct EffectShare {
 /// explain, unless the stage has errors that the model does not have (Hausman's test).
 struct NormAgreement {
   bool done = false;  ///< False: the readings alone do not determine the nine outputs (`why_not`).
-  std::string why_not;
+  Message why_not;
   double statistic = 0.0;  ///< chi2, or F times its degrees of freedom where the noise was estimated.
   int degrees_of_freedom = 0;
   double probability = 1.0;
@@ -202,7 +204,7 @@ struct JointResult {
   int iterations = 0;
   std::vector<EffectTest> effects;  ///< Every effect that was an unknown, and those stated as zero.
   /// The stated sizes that the run contradicts, in words. Every result that rests on them is doubtful.
-  std::vector<std::string> contradicted_sizes;
+  std::vector<Message> contradicted_sizes;
   std::vector<EffectShare> shares;  ///< Contributions to covariance_type_b.
   /// Noise from angle to angle: probability of a process in addition to the white part (prior: 1/2), its
   /// standard deviation in units of the readings' u, its correlation length in angles.
@@ -267,15 +269,15 @@ struct NormResult {
   std::vector<std::pair<int, double>> left_out;
   double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
   double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
-  std::string coverage_words;  ///< The largest gap in the coverage, in words; empty if small.
+  Message coverage_words;  ///< The largest gap in the coverage, in words; empty if small.
 };
 
 /// The result of one estimator on one run. The default is not usable.
 struct CalibrationResult {
   std::string estimator;  ///< "abc", "joint", "norm"
   Verdict verdict = Verdict::kNotUsable;
-  std::string why = "not analysed";  ///< One sentence: the reason for the verdict.
-  std::string source;                ///< The record it came from.
+  Message why{"not analysed"};  ///< One sentence: the reason for the verdict.
+  std::string source;           ///< The record it came from.
   std::string response_unit = "R";
   Quantity g_loc;  ///< m/s2; NaN: not known, sensitivities are per g_loc.
   std::string g_loc_source;
@@ -295,7 +297,7 @@ struct CalibrationResult {
   std::optional<Covariance9> covariance_intrinsic_type_b;
 
   /// Effects in the uncertainties whose size is a default that nobody stated.
-  std::vector<std::string> unstated_effects;
+  std::vector<Term> unstated_effects;
   Diagnostics diagnostics;
   std::optional<ModelEquation> model_equation;
   std::optional<JointResult> joint;

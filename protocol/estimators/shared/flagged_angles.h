@@ -22,7 +22,7 @@ void count_flags(const RunRecord& record, Diagnostics& diagnostics);
 /// "2 of 216 angles are flagged: stuck output", and whether more than a quarter had to be measured again;
 /// empty if neither applies.
 /// @param which  a part of kSuspectFlags
-std::string words_about_flags(const RunRecord& record, std::uint32_t which);
+Message words_about_flags(const RunRecord& record, std::uint32_t which);
 
 /// Makes a result doubtful where an angle that it uses has one of these flags, or where more than a quarter
 /// had to be measured again.

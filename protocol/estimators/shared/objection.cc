@@ -2,9 +2,9 @@
 
 namespace abcal {
 
-void object_to(CalibrationResult& result, const std::string& words) {
+void object_to(CalibrationResult& result, const Message& words) {
   const bool was_usable = result.verdict == Verdict::kUsable;
-  result.why = was_usable ? words : words + "; " + result.why;
+  result.why = was_usable ? words : in_sequence({words, result.why});
   if (was_usable) result.verdict = Verdict::kDoubtful;
 }
 

@@ -9,6 +9,8 @@
 #include <numbers>
 #include <optional>
 
+#include "protocol/model/effects.h"
+
 namespace abcal {
 namespace {
 
@@ -35,27 +37,28 @@ bool is_estimated(const JudgedShare& share, EffectsAre are) {
 }
 
 /// Remedies against one effect, as a sentence.
-std::string remedy(const JudgedShare& share, const EffectSizes& sizes, EffectsAre are) {
-  std::string words;
+Message remedy(const JudgedShare& share, const EffectSizes& sizes, EffectsAre are) {
+  const Message effect = effect_words(share.effect);
+  Message words;
   if (share.key == "orthogonality_deg") {
-    words = fmt::format("these poses do not determine {}. Measure nine or more poses", share.effect);
+    words = Message("these poses do not determine {unknowns}. Measure nine or more poses", effect);
   } else if (!shows_at_angles(share, are)) {
-    words = fmt::format(
-        "no angle of a run tells {} from a turn of the whole stage. Measure the axes (abcal level)",
-        share.effect);
+    words = Message(
+        "no angle of a run tells {unknowns} from a turn of the whole stage. Measure the axes (abcal level)",
+        effect);
   } else if (!is_estimated(share, are)) {
-    words = fmt::format(
-        "this estimator takes {} as stated. Use the joint estimator, which finds it in the readings",
-        share.effect);
+    words = Message(
+        "this estimator takes {unknowns} as stated. Use the joint estimator, which finds it in the readings",
+        effect);
   } else {
-    words =
-        fmt::format("these angles do not determine {}. Measure more angles on full circles", share.effect);
+    words = Message("these angles do not determine {unknowns}. Measure more angles on full circles", effect);
   }
   for (const EffectSizeKey& key : effect_size_keys()) {
     if (key.key != share.key) continue;
-    words +=
-        fmt::format(", or state a smaller [{}] {} with its source (it is {:.2g}{}{})", key.section, key.key,
-                    key.get(sizes), key.unit == "1" ? "" : " ", key.unit == "1" ? "" : key.unit);
+    const Message size = key.unit == "1" ? Message("{number:.2g}", key.get(sizes))
+                                         : Message("{number:.2g} {unit}", key.get(sizes), key.unit);
+    words = Message("{advice}, or state a smaller [{section}] {key} with its source (it is {size})", words,
+                    key.section, key.key, size);
   }
   return words;
 }
@@ -69,12 +72,17 @@ struct Outputs {
     names.push_back(output.name);
     worst = std::max(worst, u);
   }
-  /// "s_ux, s_uy are known to 0.004 of the sensitivity only"
-  std::string words(bool angles) const {
-    const char* const are = names.size() == 1 ? "is" : "are";
+  /// "s_ux, s_uy are known to 0.004 of the sensitivity only: " and what to do
+  Message words(bool angles, const Message& advice) const {
+    const std::string all = fmt::format("{}", fmt::join(names, ", "));
+    const bool one = names.size() == 1;
+    if (angles && one)
+      return {"{outputs} is known to {limit:.2g} degrees only: {advice}", all, worst * kDegrees, advice};
     if (angles)
-      return fmt::format("{} {} known to {:.2g} degrees only", fmt::join(names, ", "), are, worst * kDegrees);
-    return fmt::format("{} {} known to {:.1g} of the sensitivity only", fmt::join(names, ", "), are, worst);
+      return {"{outputs} are known to {limit:.2g} degrees only: {advice}", all, worst * kDegrees, advice};
+    if (one)
+      return {"{outputs} is known to {limit:.1g} of the sensitivity only: {advice}", all, worst, advice};
+    return {"{outputs} are known to {limit:.1g} of the sensitivity only: {advice}", all, worst, advice};
   }
 };
 
@@ -110,16 +118,15 @@ std::vector<Undetermined> undetermined_outputs(std::span<const JudgedOutput> out
       if (one.names.empty()) continue;
       const bool too_large = one.worst > kTooLarge;
       if (k == effects) {
-        out.push_back({one.words(angles) +
-                           ": the readings scatter too much, or are too few to show their scatter. Measure "
-                           "more of them, or average longer",
-                       too_large});
+        out.push_back(
+            {one.words(angles, Message("the readings scatter too much, or are too few to show their scatter. "
+                                       "Measure more of them, or average longer")),
+             too_large});
         continue;
       }
       const JudgedShare& share = outputs.front().shares[k];
       const bool could_be_found = shows_at_angles(share, are) && is_estimated(share, are);
-      out.push_back(
-          {fmt::format("{}: {}", one.words(angles), remedy(share, sizes, are)), could_be_found || too_large});
+      out.push_back({one.words(angles, remedy(share, sizes, are)), could_be_found || too_large});
     }
   }
   return out;

@@ -12,7 +12,7 @@ namespace abcal {
 
 /// The cause that keeps outputs from being determined, and the remedy, in words.
 struct Undetermined {
-  std::string words;
+  Message words;
   bool doubtful = false;  ///< True: the result is doubtful; false: a note is sufficient.
 };
 

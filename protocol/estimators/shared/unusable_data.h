@@ -1,6 +1,10 @@
 #pragma once
 
 #include <stdexcept>
+#include <string>
+#include <utility>
+
+#include "protocol/messages/message.h"
 
 namespace abcal {
 
@@ -9,7 +13,13 @@ namespace abcal {
 /// exception only; any other exception that leaves it is a fault of the program.
 class UnusableData : public std::runtime_error {
  public:
-  using std::runtime_error::runtime_error;
+  explicit UnusableData(Message message)
+      : std::runtime_error(message.english()), message_(std::move(message)) {}
+  explicit UnusableData(const std::string& text) : UnusableData(Message::bare(text)) {}
+  const Message& message() const { return message_; }
+
+ private:
+  Message message_;
 };
 
 }  // namespace abcal

@@ -520,7 +520,7 @@ TEST(AnalyseTest, AFourthOrderTermBeyondTheUncertaintyIsNamed) {
   EXPECT_NE(result.verdict, Verdict::kNotUsable);
   bool named = false;
   for (const std::string& note : result.diagnostics.notes)
-    named = named || note.find("harmonic 4 of v") != std::string::npos;
+    named = named || note.english().find("harmonic 4 of v") != std::string::npos;
   EXPECT_TRUE(named);
 }
 

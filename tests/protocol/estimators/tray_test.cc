@@ -399,8 +399,8 @@ TEST(TrayTest, LooseItemDoesNotSpoilTheOthers) {
   for (std::size_t n = 30; n < loose.dwells.size(); ++n) loose.dwells[n].mean = turn * loose.dwells[n].mean;
   const TrayResult result = analyse_tray(tray.records);
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
-  EXPECT_NE(result.why.find("3 of 4 items usable"), std::string::npos) << result.why;
-  EXPECT_NE(result.why.find("item 4"), std::string::npos) << result.why;
+  EXPECT_NE(result.why.english().find("3 of 4 items usable"), std::string::npos) << result.why;
+  EXPECT_NE(result.why.english().find("item 4"), std::string::npos) << result.why;
   EXPECT_EQ(result.items[3].result.verdict, Verdict::kDoubtful);
   EXPECT_FALSE(result.items[3].in_common_fit);
   for (std::size_t k = 0; k < 3; ++k) {
@@ -418,7 +418,8 @@ TEST(TrayTest, ItemOfAnotherRunContradictsTheOthers) {
   const TrayResult result = analyse_tray(tray.records);
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   EXPECT_FALSE(result.items[1].in_common_fit);
-  EXPECT_NE(result.items[1].result.why.find("contradicts the other items about the stage"), std::string::npos)
+  EXPECT_NE(result.items[1].result.why.english().find("contradicts the other items about the stage"),
+            std::string::npos)
       << result.items[1].result.why;
   for (const std::size_t k : {0U, 2U, 3U}) {
     EXPECT_TRUE(result.items[k].in_common_fit);
@@ -439,8 +440,9 @@ TEST(TrayTest, ItemReadTwiceIsFound) {
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   for (const std::size_t k : {0U, 2U}) {
     EXPECT_EQ(result.items[k].result.verdict, Verdict::kDoubtful);
-    EXPECT_NE(result.items[k].result.why.find("items 1 and 3 have the same readings at 48 of 48 angles"),
-              std::string::npos);
+    EXPECT_NE(
+        result.items[k].result.why.english().find("items 1 and 3 have the same readings at 48 of 48 angles"),
+        std::string::npos);
   }
   EXPECT_EQ(result.items[1].result.verdict, Verdict::kUsable) << result.items[1].result.why;
 }

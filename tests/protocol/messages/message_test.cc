@@ -48,7 +48,7 @@ TEST(MessageTest, WhatAPersonWroteStaysAsItIs) {
 TEST(MessageTest, MessagesWithinMessagesAreTranslated) {
   const Message part("{found} of {all} angles", 1, 2);
   EXPECT_EQ(Message("not used: {why}", part).rendered(german).text, "nicht verwendet: von 2 Winkeln 1");
-  const Message both = joined({part, Message("{place}: {part}", Term("customer"), part)});
+  const Message both = in_sequence({part, Message("{place}: {part}", Term("customer"), part)});
   EXPECT_EQ(both.english(), "1 of 2 angles; customer: 1 of 2 angles");
   const Rendered made = both.rendered(german);
   EXPECT_EQ(made.text, "von 2 Winkeln 1; beim Auftraggeber: von 2 Winkeln 1");
