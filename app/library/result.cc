@@ -50,7 +50,8 @@ std::vector<QuantityGroup> quantities_of(const ::abcal::CalibrationResult& resul
     for (std::size_t i = 0; i < found.size(); ++i)
       set_value(values, static_cast<Eigen::Index>(i / columns), static_cast<Eigen::Index>(i % columns),
                 found[i].quantity);
-    groups.push_back({about.key, about.heading, about.meaning, std::string(::abcal::to_string(about.kind)),
+    groups.push_back({about.key, std::string(about.heading.english()), about.meaning,
+                      std::string(::abcal::to_string(about.kind)),
                       std::string(::abcal::to_string(about.frame)), about.symbols, std::move(values)});
   }
   return groups;

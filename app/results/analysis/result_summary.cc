@@ -147,7 +147,7 @@ std::string intrinsic_table(const CalibrationResult& result, std::FILE* stream) 
 std::string further_text(const CalibrationResult& result, std::FILE* stream) {
   std::string text;
   for (const auto& [about, values] : further_outputs(result)) {
-    text += heading(stream, about.heading + " +- U");
+    text += heading(stream, fmt::format("{} +- U", about.heading));
     for (const auto& [name, quantity] : values)
       text += block(fmt::format("{} {}", with_expanded(quantity), quantity.unit),
                     fmt::format("  {:<8}", name), std::string(10, ' '));

@@ -160,7 +160,7 @@ void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* 
   text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}{}\n", "quantity", "value", "std. unc.",
                       "type A", "type B", with_k ? "     k  " : "", "unit");
   for (const auto& [about, values] : found_groups(result, QuantityKind::kOutput)) {
-    text += emphasised(stream, Emphasis::kHeading, about.heading) + "\n";
+    text += emphasised(stream, Emphasis::kHeading, std::string(about.heading.english())) + "\n";
     for (const auto& [name, quantity] : values) row(text, name, quantity, with_k);
   }
   if (with_k) {

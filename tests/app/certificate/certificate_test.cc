@@ -152,7 +152,7 @@ TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumb
   for (const Verdict verdict : {Verdict::kDoubtful, Verdict::kNotUsable}) {
     CertificateRequest asked = request();
     asked.run.results.front().verdict = verdict;
-    asked.run.results.front().why = "the closure is large";
+    asked.run.results.front().why = Message("the closure is large");
     EXPECT_THAT(refusal(asked), AllOf(HasSubstr("verdict"), HasSubstr("the closure is large")));
     asked.draft = true;
     const Certificate draft = make_certificate(std::move(asked));

@@ -391,7 +391,7 @@ void scramble(CalibrationResult& result, Chance& chance) {
   const auto covariance = [&] { return std::clamp(chance.number(), -1e100, 1e100); };
   *result.covariance = Covariance12::NullaryExpr([&] { return covariance(); });
   *result.covariance_intrinsic = Covariance9::NullaryExpr([&] { return covariance(); });
-  result.why = chance.text();
+  result.why = Message::bare(chance.text());
   result.g_loc_source = chance.text();
 }
 

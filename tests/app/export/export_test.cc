@@ -561,7 +561,7 @@ TEST_F(ExportTest, WhatDoesNotFitIsRefusedWithTheReason) {
               HasSubstr("knows no platter"));
   CalibrationResult bad = analyse(record, "joint");
   bad.verdict = Verdict::kNotUsable;
-  bad.why = "it fell";
+  bad.why = Message("it fell");
   EXPECT_THAT(reason([&] { (void)constants_of(bad, ExportFrame::kItem); }), HasSubstr("it fell"));
 }
 

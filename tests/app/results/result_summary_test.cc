@@ -127,9 +127,9 @@ TEST_F(ResultSummaryTest, LongNamesWideValuesAndManyNotesStayInside) {
     for (Quantity& q : result.offset) change(q);
     result.verdict = static_cast<Verdict>(engine() % 3);
     for (std::size_t notes = engine() % 4; notes > 0; --notes)
-      result.diagnostics.notes.push_back("a note of " + std::string(engine() % 120, 'x') + " many words " +
-                                         one_of(serials));
-    result.why = "a reason of " + std::string(engine() % 200, 'y') + " words";
+      result.diagnostics.notes.push_back(
+          Message::bare("a note of " + std::string(engine() % 120, 'x') + " many words " + one_of(serials)));
+    result.why = Message::bare("a reason of " + std::string(engine() % 200, 'y') + " words");
     std::string verdict(to_string(result.verdict));
     std::ranges::replace(verdict, '_', ' ');
     const std::string text = shown(item);

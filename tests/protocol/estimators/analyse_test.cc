@@ -519,7 +519,7 @@ TEST(AnalyseTest, AFourthOrderTermBeyondTheUncertaintyIsNamed) {
   const CalibrationResult result = analyse_abc(record);
   EXPECT_NE(result.verdict, Verdict::kNotUsable);
   bool named = false;
-  for (const std::string& note : result.diagnostics.notes)
+  for (const Message& note : result.diagnostics.notes)
     named = named || note.english().find("harmonic 4 of v") != std::string::npos;
   EXPECT_TRUE(named);
 }

@@ -310,7 +310,7 @@ TEST(NormFitTest, LeavesDisturbedPosesOut) {
 TEST(NormFitTest, ListsThePosesThatItLeavesOutWithTheirResidualsAndTheRule) {
   std::vector<Pose> poses = poses_of(some_accelerometer(), 60, 1e-4, 7, false);
   poses[40].reading *= 1.1;
-  poses[41].name = "the box on its side";
+  poses[41].name = Message::bare("the box on its side");
   poses[41].reading *= 0.95;
   const CalibrationResult result = analyse_norm(poses);
   ASSERT_EQ(result.norm->left_out.size(), 2U);

@@ -26,18 +26,18 @@ TEST(EffectsTest, EverySizeBelongsToAKeyAndEveryUnknownHasAName) {
   EffectSizes stated;
   for (const EffectSizeKey& key : effect_size_keys()) key.set(stated, 1e-5);  // Some defaults are zero.
   for (const StageEffect& effect : stage_effects()) {
-    EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name;
-    EXPECT_GT(effect.prior(stated), 0.0) << effect.name;
+    EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name.english();
+    EXPECT_GT(effect.prior(stated), 0.0) << effect.name.english();
     std::set<std::string> names;
     for (int i = 0; i < effect.count; ++i) names.insert(effect.unknown_name(i));
-    EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name;
+    EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name.english();
   }
   for (const ItemEffect& effect : item_effects()) {
-    EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name;
-    EXPECT_GT(effect.prior(stated), 0.0) << effect.name;
+    EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name.english();
+    EXPECT_GT(effect.prior(stated), 0.0) << effect.name.english();
     std::set<std::string> names;
     for (int i = 0; i < effect.count; ++i) names.insert(effect.unknown_name(i));
-    EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name;
+    EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name.english();
   }
 }
 
@@ -102,8 +102,8 @@ TEST(StageEffectsTest, OnlyTheSecondFaceHasTurnsOfItsOwn) {
         in_second = in_second || effect.share(pose_at(experiment, 20.0, 2), i).value != 0.0;
       }
     }
-    EXPECT_EQ(in_first, effect.face == 1) << effect.name;
-    EXPECT_EQ(in_second, effect.name != "d2" && effect.name != "d3") << effect.name;
+    EXPECT_EQ(in_first, effect.face == 1) << effect.name.english();
+    EXPECT_EQ(in_second, effect.name != "d2" && effect.name != "d3") << effect.name.english();
   }
 }
 
@@ -137,7 +137,8 @@ TEST(StageModelTest, AWobbleThatStandsAtThePoseZeroIsNoEffect) {
       StageInputs inputs = StageInputs::Zero();
       inputs(share.input) += 1e-4 * share.value;
       inputs(share.second_input) += 1e-4 * share.second_value;
-      EXPECT_TRUE(gravity_at(zero, inputs).g.isApprox(Eigen::Vector3d::UnitZ(), 1e-7)) << effect.name << i;
+      EXPECT_TRUE(gravity_at(zero, inputs).g.isApprox(Eigen::Vector3d::UnitZ(), 1e-7))
+          << effect.name.english() << i;
     }
   }
 }
@@ -156,7 +157,7 @@ TEST(ItemEffectsTest, SlopesAreThoseOfDifferences) {
           below.y((j + k) % 3) -= 1e-6;
           EXPECT_NEAR(slopes[static_cast<std::size_t>(k)],
                       (effect.share(above, j, i).value - effect.share(below, j, i).value) / 2e-6, 1e-8)
-              << effect.name;
+              << effect.name.english();
         }
       }
     }

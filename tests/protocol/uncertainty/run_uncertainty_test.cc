@@ -80,7 +80,8 @@ TEST(RunUncertaintyTest, TheBudgetAgreesWithMonteCarloAndItsSharesAddUp) {
     EXPECT_TRUE(study.validation.at(static_cast<std::size_t>(k)).validated) << output_symbol(k);
   }
   bool nutation = false;
-  for (const std::string& item : study.budget.not_covered) nutation = nutation || item.find("nutation") == 0;
+  for (const Message& item : study.budget.not_covered)
+    nutation = nutation || item.english().starts_with("nutation");
   EXPECT_TRUE(nutation);
 }
 
@@ -128,7 +129,7 @@ TEST(RunUncertaintyTest, ResolutionIsALineOnlyWhereItIsKnown) {
   const Budget with = make_budget(record, result, 1e-3);
   EXPECT_EQ(with.lines.size(), without.lines.size() + 1);
   for (const BudgetLine& line : with.lines) {
-    if (line.input.starts_with("resolution")) {
+    if (line.input.english().starts_with("resolution")) {
       EXPECT_NEAR(line.contribution(0), 1e-3 / std::sqrt(12.0) / std::sqrt(72.0), 1e-12);
       EXPECT_EQ(line.distribution, "rectangular");
     }
@@ -394,8 +395,8 @@ TEST(RunUncertaintyTest, WhatAnAssessorAsksForIsNamedAsNotCovered) {
   const Budget budget = make_budget(record, analyse_abc(record));
   for (const char* word : {"torque", "cable", "self-heating", "magnetic", "vibration", "height", "tide"}) {
     bool named = false;
-    for (const std::string& source : budget.not_covered)
-      named = named || source.find(word) != std::string::npos;
+    for (const Message& source : budget.not_covered)
+      named = named || source.english().find(word) != std::string::npos;
     EXPECT_TRUE(named) << word;
   }
 }
