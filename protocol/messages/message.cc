@@ -55,11 +55,11 @@ struct Renderer {
       complete = false;
       return std::get<Stated>(message.values().front().value).text;
     }
-    if (has_words(sentence)) {
-      const std::optional<std::string_view> translation = catalogue(sentence);
-      complete = complete && translation.has_value();
-      if (translation) sentence = *translation;
-    }
+    const std::optional<std::string_view> translation = catalogue(sentence);
+    if (translation)
+      sentence = *translation;
+    else
+      complete = complete && !has_words(sentence);
     return filled(sentence, [&](std::string_view name) {
       const auto found = std::find_if(message.values().begin(), message.values().end(),
                                       [&](const NamedValue& value) { return value.name == name; });

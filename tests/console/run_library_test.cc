@@ -214,7 +214,7 @@ TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
 TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
   static_assert(std::has_single_bit(kAllFlags + 1U));
   for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2)
-    EXPECT_NE(meaning_of_flag(describe_flags(flag)), "") << describe_flags(flag);
+    EXPECT_NE(meaning_of_flag(describe_flags(flag).english()), "") << describe_flags(flag).english();
   EXPECT_EQ(meaning_of_flag("no such flag"), "");
   EXPECT_EQ(meaning_of_check("no such check"), "");
 

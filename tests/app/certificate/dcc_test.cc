@@ -159,7 +159,7 @@ TEST_F(DccTest, EveryRowOfTheBudgetHasASourceAndDegreesOfFreedom) {
   asked.run.results = {analyse_joint(asked.run.record)};
   asked.run.budget = make_budget(asked.run.record, asked.run.result());
   BudgetLine idle = asked.run.budget->lines.front();
-  idle.input = "a row that does not apply";
+  idle.input = Message("a row that does not apply");
   idle.contribution.setZero();
   asked.run.budget->lines.push_back(idle);
   const XmlDocument document = dcc_document(make_certificate(std::move(asked)));
@@ -457,7 +457,7 @@ void scramble(Certificate& certificate, Chance& chance) {
     look.temperature_degc = chance.number();
     look.pressure_hpa = chance.number();
   }
-  certificate.reservations = {chance.text(), chance.text()};
+  certificate.reservations = {Message::bare(chance.text()), Message::bare(chance.text())};
   if (chance.coin()) {
     certificate.issue.emplace();
     certificate.issue->approved_by = chance.text();

@@ -186,7 +186,8 @@ nlohmann::json table_of(std::string_view language) {
 std::vector<std::string> english_of(const std::string& language) {
   constexpr std::size_t kTelling = 14;
   std::vector<std::string> parts;
-  for (const auto& [english, translated] : table_of(language).items()) {
+  const nlohmann::json table = table_of(language);
+  for (const auto& [english, translated] : table.items()) {
     std::string_view rest = english;
     while (!rest.empty()) {
       const std::size_t at = std::min(rest.find('{'), rest.size()),

@@ -106,7 +106,7 @@ TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
   EXPECT_EQ(joint.sensitivity_values(), run.joint.items[1].result.sensitivity_values());
   const Budget budget = make_budget(data.record, joint);
   const auto others = std::find_if(budget.lines.begin(), budget.lines.end(), [](const auto& line) {
-    return line.input.starts_with("effects of the other items");
+    return line.input.english().starts_with("effects of the other items");
   });
   ASSERT_NE(others, budget.lines.end());
   EXPECT_EQ(others->standard_uncertainty, 1.0);

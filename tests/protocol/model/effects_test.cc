@@ -186,8 +186,9 @@ TEST(ItemEffectsTest, LineResponseIsTheLeastSquaresLineOverTheSphere) {
         slope += 3.0 * value * g / kPoints;
       }
       const LineShare line = effect.line(rows, j, i);
-      EXPECT_NEAR(mean, line.offset, 1e-5) << effect.name << " " << i;
-      EXPECT_TRUE((slope - line.scale * rows.row(j).transpose()).isZero(1e-4)) << effect.name << " " << i;
+      EXPECT_NEAR(mean, line.offset, 1e-5) << effect.name.english() << " " << i;
+      EXPECT_TRUE((slope - line.scale * rows.row(j).transpose()).isZero(1e-4))
+          << effect.name.english() << " " << i;
     }
   }
 }
