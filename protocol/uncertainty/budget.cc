@@ -194,7 +194,7 @@ void add_check_poses_to(const RunRecord& record, Budget& budget) {
         "No check poses were compared: a change of the sensitivity late in experiment 3 would pass unseen.");
     return;
   }
-  const auto words = [](const char* of, const std::array<PoseTrend, 3>& trends) {
+  const auto change_of = [](const char* of, const std::array<PoseTrend, 3>& trends) {
     const auto largest = [&](double PoseTrend::*member) {
       double found = 0.0;
       for (const PoseTrend& trend : trends) found = std::max(found, std::abs(trend.*member));
@@ -208,7 +208,7 @@ void add_check_poses_to(const RunRecord& record, Budget& budget) {
       "Check poses, of S, the largest of u, v, w, from the first visit to the last: change of a {}, of an "
       "{}. "
       "{} The stated drifts are in the lines of the drifts, and the check poses contribute nothing besides{}",
-      words("gain", study->gain), words("offset", study->offset),
+      change_of("gain", study->gain), change_of("offset", study->offset),
       study->found.empty() ? "No change was found." : "A CHANGE WAS FOUND (see the verdict).",
       study->found.empty() ? "." : "; what was found is not covered."));
 }

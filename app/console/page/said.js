@@ -5,7 +5,7 @@ import {language} from '/language.js';
 const table = language === 'de' ? {...await (await fetch('/certificate_de.json')).json(), ...(await import('/program_de.js')).default} : {};
 const place = /\{\w*\}/g;
 const templates = Object.entries(table).filter(([english]) => english.includes('{') && /[a-z]{2}/i.test(english.replace(place, '')))
-  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place)}))
+  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place), isShort: english.replace(place, '').replace(/[^a-z]/gi, '').length < 10}))
   .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The longest pattern first.
 const known = new Map();
 
@@ -18,9 +18,12 @@ function valueSaid(value) {
 }
 
 function byTemplate(words) {
-  for (const {pattern, said, names} of templates) {
-    const values = pattern.exec(words)?.slice(1).map(valueSaid);
-    if (!values || values.includes(null)) continue;
+  for (const {pattern, said, names, isShort} of templates) {
+    const found = pattern.exec(words)?.slice(1);
+    // "{effect} of {output}" is in many sentences that it did not make.
+    if (!found || (isShort && found.some((value) => value.includes(' ') && !(value in table)))) continue;
+    const values = found.map(valueSaid);
+    if (values.includes(null)) continue;
     let i = 0;
     return said.replace(place, (name) => (name === '{}' ? values[i++] : values[names.indexOf(name)]));
   }

@@ -21,6 +21,7 @@
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/results/analysis/analyses.h"
 #include "app/results/analysis/effect_words.h"
+#include "protocol/model/effects.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
@@ -77,6 +78,8 @@ std::vector<std::string> words_of_data() {
     words.emplace_back(key.words);
     if (!key.uncovered.empty()) words.emplace_back(key.uncovered);
   }
+  for (const StageEffect& effect : stage_effects()) words.emplace_back(effect.name.english());
+  for (const ItemEffect& effect : item_effects()) words.emplace_back(effect.name.english());
   for (const std::vector<ItemFact>* facts : {&kItemSettings, &kItemMounting})
     for (const ItemFact& fact : *facts) words.emplace_back(fact.words);
   for (std::string name : names_of_quantities()) {

@@ -45,7 +45,7 @@ step('every text has German words with the same values in them', async () => {
 // Texts of the program have tables of their own; these are the sentences without variable parts.
 step('checks, flags and what they mean have German words', async () => {
   const program = await germanOf('program_de.js');
-  const source = readFileSync(path.join(folder, '../../../../protocol/estimators/checks/check_meanings.cc'), 'utf8');
+  const source = readFileSync(path.join(folder, '../../../protocol/estimators/checks/check_meanings.cc'), 'utf8');
   const pairs = [...source.matchAll(/\{"([^"]+)",\s*"([^"]+)"\}/g)];
   assert.ok(pairs.length >= 30, String(pairs.length));
   assert.deepEqual(pairs.flatMap(([, name, meaning]) => [name, meaning]).filter((words) => !(words in program)), []);
