@@ -5,7 +5,7 @@ import {language} from '/language.js';
 const table = language === 'de' ? {...await (await fetch('/certificate_de.json')).json(), ...(await import('/program_de.js')).default} : {};
 const place = /\{\w*\}/g;
 const templates = Object.entries(table).filter(([english]) => english.includes('{') && /[a-z]{2}/i.test(english.replace(place, '')))
-  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place), isShort: english.replace(place, '').replace(/[^a-z]/gi, '').length < 10}))
+  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place), isShort: english.startsWith('{') && english.replace(place, '').replace(/[^a-z]/gi, '').length < 10}))
   .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The longest pattern first.
 const known = new Map();
 
