@@ -26,6 +26,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_serve(app, exit_code);
   add_bench(app, exit_code);
   add_analyse(app, exit_code);
+  add_combine(app, exit_code);
   add_uncertainty(app, exit_code, one_process());
   add_report(app, exit_code);
   add_compare(app, exit_code);

@@ -35,7 +35,7 @@ int main(int argc, char** argv) {
     options.uptime = abcal::uptime;
     abcal::GuardService guard(clock, std::move(options));
     for (const std::string& words : guard.serve())
-      abcal::print_log("abcal-guard: the program that moved the bench has died; {}\n", words);
+      abcal::print_log("abcal-guard: the program that moved the bench has ended; {}\n", words);
     return 0;
   } catch (const std::exception& error) {
     abcal::print_log("abcal-guard: {}\n", error.what());

@@ -6,12 +6,11 @@
 
 int main(int argc, char** argv) {
   using namespace abcal;
-  return run_program(
-      argc, argv,
-      {"abcal-mpi",
-       "abcal-mpi shares one Monte Carlo study of `abcal uncertainty` among the processes that mpirun "
-       "starts:\n  mpirun -n 4 abcal-mpi uncertainty RUN",
-       [](CLI::App& app, int& exit_code) {
-         add_uncertainty(app, exit_code, {mpi_team, abandon});
-       }});
+  return run_program(argc, argv,
+                     {"abcal-mpi",
+                      "abcal-mpi shares one Monte Carlo study of `abcal uncertainty` among the processes "
+                      "that mpirun starts:\n  mpirun -n 4 abcal-mpi uncertainty RUN",
+                      [](CLI::App& app, int& exit_code) {
+                        add_uncertainty(app, exit_code, {mpi_team, abandon});
+                      }});
 }

@@ -8,7 +8,6 @@
 //   abcal-transfer --version
 #include <curl/curl.h>
 #include <fmt/format.h>
-#include <sys/socket.h>
 
 #include <array>
 #include <csignal>
@@ -20,6 +19,7 @@
 #include <string_view>
 #include <vector>
 
+#include "app/system/channel.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
@@ -196,14 +196,13 @@ int answer_socket() {
   constexpr std::size_t kLongest = 64 * 1024;
   std::string words;
   try {
-    std::vector<char> packet(kLongest);
-    const ssize_t count = ::recv(kSocket, packet.data(), packet.size(), 0);
-    if (count <= 0) return abcal::kExitFailed;
-    words = send_all(Json::parse(packet.begin(), packet.begin() + count));
+    const auto packet = abcal::receive_packet(kSocket, kLongest);
+    if (!packet) return abcal::kExitFailed;
+    words = send_all(Json::parse(packet->bytes));
   } catch (const std::exception& error) {
     words = error.what();
   }
-  const bool is_heard = ::send(kSocket, words.data(), words.size(), MSG_NOSIGNAL) >= 0;
+  const bool is_heard = abcal::send_packet(kSocket, words);
   if (words == "sent") return abcal::kExitDone;
   if (!is_heard)
     abcal::print_log("abcal-transfer: a message to those in [notify] did not arrive: {}\n", words);

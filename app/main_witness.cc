@@ -1,16 +1,19 @@
 // abcal-witness: signs the links of a run while it is measured, in a log of which each line names the one
 // before (app/witness/witness_service.h, docs/witness.md). A service of the computer under a user of
 // its own, or started by abcal, with one end of a socket as descriptor 3.
-#include <sys/stat.h>
-
 #include <fmt/format.h>
+#include <pwd.h>
+#include <sys/stat.h>
 
 #include <CLI/CLI.hpp>
 #include <csignal>
+#include <cstdint>
 #include <exception>
 #include <filesystem>
+#include <set>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "app/system/boot_clock.h"
 #include "app/system/exit_code.h"
@@ -26,12 +29,25 @@ namespace {
 
 struct Choices {
   std::string key, log, socket;
+  std::vector<std::string> users;
   bool beside = false, make_key = false, check = false;
 };
 
 abcal::WitnessMoment moment() {
   static const std::string boot = abcal::boot_id();
   return {abcal::RealClock().utc_now(), boot, abcal::uptime()};
+}
+
+std::set<std::uint32_t> ids_of(const std::vector<std::string>& users) {
+  std::set<std::uint32_t> ids;
+  for (const std::string& name : users) {
+    const passwd* user = ::getpwnam(name.c_str());
+    if (user == nullptr)
+      throw std::invalid_argument(
+          fmt::format("--user {}: found no such user; required: the name of a user of this computer", name));
+    ids.insert(user->pw_uid);
+  }
+  return ids;
 }
 
 void make_key(const std::string& file) {
@@ -55,8 +71,10 @@ int run(const Choices& choices) {
     throw std::invalid_argument(choices.log + ": found no log; required: one that a witness has made");
   abcal::WitnessLog log(choices.log, abcal::read_private_file(choices.key, "key"), moment);
   if (choices.check) return check(log);
-  abcal::WitnessService service(
-      log, {.socket = choices.socket, .owner = abcal::Descriptor(choices.beside ? 3 : -1)});
+  abcal::WitnessService::Options options{
+      .socket = choices.socket, .owner = abcal::Descriptor(choices.beside ? 3 : -1), .users = std::nullopt};
+  if (!choices.beside) options.users = ids_of(choices.users);
+  abcal::WitnessService service(log, std::move(options));
   service.serve();
   return abcal::kExitDone;
 }
@@ -72,7 +90,10 @@ int main(int argc, char** argv) {
   CLI::Option* log =
       app.add_option("--log", choices.log, "File of its log (SQLite); made if it does not exist");
   CLI::Option* socket =
-      app.add_option("--socket", choices.socket, "Where it listens for programs of all users");
+      app.add_option("--socket", choices.socket, "Where it listens for programs of the named users");
+  app.add_option("--user", choices.users, "User for whom it signs, repeatable")
+      ->allow_extra_args(false)
+      ->needs(socket);
   CLI::Option* beside = app.add_flag("--beside", choices.beside,
                                      "Serves the socket at descriptor 3, and ends with its other end");
   CLI::Option* make_key = app.add_flag("--make-key", choices.make_key,

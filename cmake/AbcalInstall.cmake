@@ -71,7 +71,7 @@ foreach(target IN LISTS library_targets)
 endforeach()
 install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-foreach(folder drivers/instrument tests/contract protocol/messages protocol/plan protocol/statistics protocol/model protocol/record protocol/estimators)
+foreach(folder drivers/instrument drivers/text tests/contract protocol/plan protocol/statistics protocol/model protocol/record protocol/estimators)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()
@@ -155,8 +155,8 @@ set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_NAME abcal)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_SHLIBDEPS ON)
-# The backend of the register is loaded when a register is opened, which dpkg-shlibdeps cannot see.
-set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS "adduser, libsoci-sqlite3-4.0 | libsoci-sqlite3-4.0t64")
+# The backend of the register is loaded when a register is opened, and fonts when a PDF is written, which dpkg-shlibdeps cannot see.
+set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS "adduser, fonts-dejavu-core, libsoci-sqlite3-4.0 | libsoci-sqlite3-4.0t64")
 set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "abcal-doc (= ${PROJECT_VERSION}-1), gnuplot-nox, weasyprint, libsoci-postgresql4.0 | libsoci-postgresql4.0t64")
 set(CPACK_DEBIAN_ABCAL_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/cmake/packaging/postinst
   ${PROJECT_SOURCE_DIR}/cmake/packaging/prerm)

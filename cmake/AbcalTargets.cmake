@@ -80,7 +80,7 @@ function(abcal_target_options target)
     target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-Og>
       $<$<AND:$<CONFIG:Release>,$<CXX_COMPILER_ID:GNU>>:-Wno-maybe-uninitialized>)
   endif()
-  if(ABCAL_SANITIZE AND NOT ABCAL_FUZZ AND NOT ABCAL_NUMBERS)
+  if(ABCAL_SANITIZE AND NOT ABCAL_NUMBERS)
     target_compile_options(${target} PRIVATE -O0)
   endif()
   if(ABCAL_UNITY)

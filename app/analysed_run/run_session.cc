@@ -25,7 +25,10 @@ class RunSession::Analyst final : public RunAnalyst {
       if (!conclusion.verdict.empty() && result.verdict >= worst) continue;
       worst = result.verdict;
       conclusion.verdict = verdict_words(worst);
-      conclusion.reason = worst == Verdict::kUsable ? result.why : about_item(item.stored, result.why);
+      const std::string which = about_item(item.stored, "", "");
+      conclusion.reason = worst == Verdict::kUsable || which.empty()
+                              ? result.why
+                              : Message("{item}: {why}", which, result.why);
     }
     return conclusion;
   }

@@ -13,6 +13,7 @@
 
 #include "app/bench_file/bench_keys.h"
 #include "app/bench_file/chamber_consistency.h"
+#include "app/bench_file/instrument_ports.h"
 #include "app/bench_file/key_ranges.h"
 #include "drivers/instrument/driver_catalogue.h"
 #include "drivers/text/text.h"
@@ -123,6 +124,35 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
   if (!stage.x.port.empty() && stage.chained()) check_chain(reader, stage);
 }
 
+/// One port has one instrument; names of serial ports of another system are none here.
+void check_ports(TomlReader& reader, const BenchConfig& c, bool is_list) {
+  std::map<std::string, std::string> owners;
+  const auto check = [&](const std::string& where, const std::string& port) {
+    const std::string found = "\"" + port + "\"";
+    const std::string name = pieces::lower(port);
+    if (name.size() > 3 && name.starts_with("com") &&
+        name.find_first_not_of("0123456789", 3) == std::string::npos)
+      reader.add_problem(where, found,
+                         "a port of this computer, such as \"/dev/ttyUSB0\": `abcal instruments` lists them");
+    const auto owner = owners.emplace(port, where).first;
+    // Port 0 is any free one, which an emulator takes.
+    const bool is_real =
+        (port.starts_with("usb:") || port.starts_with("tcp:") || port.starts_with("/dev/")) &&
+        !port.ends_with(":0");
+    if (is_real && owner->second != where)
+      reader.add_problem(where, fmt::format("{}, which {} has", found, owner->second),
+                         "another port: one port has one instrument");
+  };
+  const auto key_of_stage = [&](const InstrumentPort& port) {
+    if (!c.stage.split()) return "stage.port";
+    return port.axis == StageAxis::kZ ? "stage.z.port" : "stage.x.port";
+  };
+  for (const InstrumentPort& port : stage_ports(c.stage)) check(key_of_stage(port), port.port);
+  for (const InstrumentPort& port : all_accelerometer_ports(c))
+    check(is_list ? "item" : "accelerometer.port", port.port);
+  for (const InstrumentPort& port : environment_ports(c.environment)) check("environment.port", port.port);
+}
+
 void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) {
   if (root.at_path("bench.g_loc_mps2").is_table()) {
     for (const char* key : {"g_loc_expanded_uncertainty_mps2", "g_loc_k", "g_loc_source"})
@@ -138,6 +168,12 @@ void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) 
     const FormulaGravity formula = formula_gravity(Angle::degrees(*c.latitude_deg), *c.height_m);
     c.g_loc = {formula.value_mps2, 2.0 * formula.standard_uncertainty_mps2, 2.0, formula.source};
     c.warnings.push_back(formula.warning);
+  } else if (root.at_path("bench.g_loc_expanded_uncertainty_mps2").value<double>() == 0.0 &&
+             !c.g_loc.source.empty() && c.stage.driver != kSimulated) {
+    c.warnings.emplace_back(
+        "g_loc_expanded_uncertainty_mps2 is 0: no gravity is known exactly, and U of the sensitivities is "
+        "too small "
+        "without its part");
   }
 }
 
@@ -214,9 +250,6 @@ void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
   if (!c.temperature.set_points_degc.empty())
     reader.add_problem("protocol.motion", "\"constant_rate\" with [temperature] set_points_degc",
                        "\"steps\"");
-  if (!c.stage.record.empty())
-    reader.add_problem("protocol.motion", "\"constant_rate\" with [stage] record",
-                       "\"steps\": a record says nothing of a stage that turns");
   if (p.estimator != kDefaultEstimator)
     reader.add_problem("protocol.estimator", "\"" + p.estimator + "\" with motion = \"constant_rate\"",
                        "\"joint\"");
@@ -519,6 +552,7 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
     check_one_item(reader, c);
   }
   check_notify(reader, c.notify);
+  check_ports(reader, c, is_list);
   check_faults_and_changes(reader, c, is_list ? c.items.size() : 0);
   for (const Problem& problem : chamber_problems(c))
     reader.add_problem(problem.where, problem.found, problem.required);

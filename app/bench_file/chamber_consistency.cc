@@ -72,12 +72,10 @@ void check_soak(std::vector<Problem>& problems, const TemperatureConfig& t) {
                         "more than 0: no sensor ever stands still, so the soak would never end"});
   const double needed = longest_ramp_s(t) + std::max(t.soak_min_s, t.soak_span_s);
   if (t.soak_max_s <= needed)
-    problems.push_back(
-        {"temperature.soak_max_s", fmt::format("{:g} s", t.soak_max_s),
-         fmt::format(
-             "more than {:g} s: the longest ramp takes {:g} s and the shortest soak {:g} s, so the soak "
-             "would never end",
-             needed, longest_ramp_s(t), std::max(t.soak_min_s, t.soak_span_s))});
+    problems.push_back({"temperature.soak_max_s", fmt::format("{:g} s", t.soak_max_s),
+                        fmt::format("more than {:g} s: the longest ramp takes {:g} s and the shortest soak "
+                                    "{:g} s, so the soak would never end",
+                                    needed, longest_ramp_s(t), std::max(t.soak_min_s, t.soak_span_s))});
 }
 
 void check_dew_point(std::vector<Problem>& problems, const BenchConfig& c) {
@@ -86,10 +84,10 @@ void check_dew_point(std::vector<Problem>& problems, const BenchConfig& c) {
   if (wet.empty()) return;
   problems.push_back(
       {kPoints, list_of(wet) + " degC",
-       fmt::format("above {:.1f} degC, the dew point of the room's air with its margin; or a chamber "
-                   "that measures humidity ([chamber] humidity); or dry air or nitrogen on "
-                   "([chamber] dry_gas = true)",
-                   dew)});
+       fmt::format(
+           "above {:.1f} degC, the dew point of the room's air with its margin; or a chamber that measures "
+           "humidity ([chamber] humidity); or dry air or nitrogen on ([chamber] dry_gas = true)",
+           dew)});
 }
 
 void check_chamber(std::vector<Problem>& problems, const ChamberConfig& chamber) {

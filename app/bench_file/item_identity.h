@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "app/bench_file/bench_config.h"
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {

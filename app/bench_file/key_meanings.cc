@@ -15,8 +15,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"bench.name", {"Name of the bench, for the report.", ""}},
       {"bench.g_loc_mps2",
        {"Local gravity. Required unless `latitude_deg` and `height_m` are given. Or `{ from = \"RECORD\" }`: "
-        "a "
-        "calibration in the register, which then gives U, k and source, too.",
+        "a calibration in the register, which then gives U, k and source, too.",
         "", true}},
       {"bench.g_loc_expanded_uncertainty_mps2", {"Expanded uncertainty U = k u of `g_loc_mps2`.", ""}},
       {"bench.g_loc_k", {"Coverage factor k of that uncertainty.", "1"}},
@@ -81,8 +80,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         ""}},
       {"stage.record",
        {"Stage record written by `abcal stage learn`: the joint estimator takes the stage from it, in place "
-        "of the "
-        "sizes in `[stage_uncertainty]`. The run keeps it. A record of another stage is refused.",
+        "of the sizes in `[stage_uncertainty]`. The run keeps it. A record of another stage is refused.",
         ""}},
       {"stage.AXIS.axis", {"The controller's name for the axis.", ""}},
       {"stage.AXIS.sign",
@@ -117,8 +115,8 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "voltmeter, that reports none is recorded with it, as stated by this file.",
         ""}},
       {"accelerometer.scale",
-       {"Voltmeters and lines of text: output = (value - `bias`) / `scale`, for u, v, w. At least "
-        "1e-12 in size.",
+       {"Voltmeters and lines of text: output = (value - `bias`) / `scale`, for u, v, w. At least 1e-12 in "
+        "size.",
         "V/R or 1/R"}},
       {"accelerometer.bias", {"See `scale`.", "V or 1"}},
       {"accelerometer.channels", {"Voltmeters: the channels to which u, v, w are wired.", ""}},
@@ -151,30 +149,25 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"protocol.step_deg", {"D, the nominal rotation step.", ""}},
       {"protocol.faces",
        {"2: half of the angles of each experiment are measured with the axis that stands turned by half a "
-        "turn "
-        "more, in a second face, so that errors of the stage act with the opposite sign "
+        "turn more, in a second face, so that errors of the stage act with the opposite sign "
         "([measurement](measurement.md#two-faces)). `steps` must then be even and at least 8. 1: as in the "
         "published protocol.",
         ""}},
       {"protocol.motion",
        {"`\"steps\"`: the stage stands at each angle, as in the published protocol. `\"constant_rate\"`: it "
-        "turns "
-        "through each circle at constant rates while readings stream; readings within one step about an "
-        "angle "
-        "count as its own ([constant rate](constant_rate.md)).",
+        "turns through each circle at constant rates while readings stream; readings within one step about "
+        "an angle count as its own ([constant rate](constant_rate.md)).",
         ""}},
       {"protocol.rate_deg_per_s",
        {"Constant rate: rates of the sweeps of a circle, up and down in turn; the list begins again if there "
-        "are "
-        "more sweeps.",
+        "are more sweeps.",
         "degree/s"}},
       {"protocol.sweeps", {"Constant rate: sweeps of each circle.", ""}},
       {"protocol.stops",
        {"Constant rate: dwells at rest in each circle, evenly spaced, which tie the results to rest.", ""}},
       {"protocol.acceleration_deg_per_s2",
        {"Constant rate: acceleration with which the controller starts and ends a sweep, at least. The travel "
-        "must "
-        "have room for it.",
+        "must have room for it.",
         "degree/s^2"}},
       {"protocol.closing_angle",
        {"Measures the first angle of each experiment again, one turn on, to show drift.", ""}},
@@ -315,10 +308,8 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.draw",
        {"`stated`: every effect that `[stage_uncertainty]` and `[item_uncertainty]` state, or leave to a "
         "default, is drawn from its distribution by the seed; a key that is given fixes its effect. Drifts "
-        "are "
-        "drawn over the time of the planned run, where all ports are simulated and no series over "
-        "temperature "
-        "is planned. Empty: what is not given is zero.",
+        "are drawn over the time of the planned run, where all ports are simulated and no series over "
+        "temperature is planned. Empty: what is not given is zero.",
         ""}},
       {"simulation.sensitivity_matrix",
        {"Sensitivity matrix: rows u, v, w; columns x, y, z of the platter, before the platter tilts with Z.",
@@ -359,8 +350,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.AXIS.encoder_resolution_deg", {"Smallest step of the encoder.", ""}},
       {"simulation.AXIS.rate_ripple",
        {"Standard deviation of sine and cosine of each of six harmonics of the rate while the axis turns; "
-        "the "
-        "encoder sees them.",
+        "the encoder sees them.",
         "1"}},
       {"simulation.low_pass_hz", {"Corner of a low-pass behind all bends of the outputs; 0: none.", ""}},
       {"simulation.low_pass_order", {"1, or 2: two such filters, one behind the other.", ""}},
@@ -396,8 +386,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Hysteresis: adds this value times the sign of the output's change in the last motion.", "R"}},
       {"simulation.hysteresis_width",
        {"Above 0: the hysteresis follows the output along its whole way, as play does, and turns round "
-        "gradually "
-        "while the output changes by this much. 0: its sign is that of the last motion.",
+        "gradually while the output changes by this much. 0: its sign is that of the last motion.",
         "R"}},
       {"simulation.drift_1",
        {"Drift: this value times half the Legendre polynomial of order 1 of the time within the span, from "
@@ -430,8 +419,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "s"}},
       {"simulation.run",
        {"Number of the run on this stage. The noise, and all that the stage does not repeat, follow from "
-        "`seed` "
-        "and this number, all else from `seed` alone.",
+        "`seed` and this number, all else from `seed` alone.",
         ""}},
       {"simulation.age_months", {"Age of the stage, for `growth_deg`.", "month"}},
       {"simulation.knock_from_run", {"First `run` after a knock, for `knock_deg`; 0: none.", ""}},
@@ -456,8 +444,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Standard deviation of the zero of the axis, drawn once for each `run`.", ""}},
       {"simulation.AXIS.growth_deg",
        {"Standard deviation of the change of each value of the fine map in one month; it grows with the root "
-        "of "
-        "`age_months`.",
+        "of `age_months`.",
         ""}},
       {"simulation.AXIS.knock_deg",
        {"Standard deviation of the change of each value of the fine map by a knock (`knock_from_run`).", ""}},
@@ -483,8 +470,8 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.link.jitter_s", {"Largest additional random delay; the order of bytes is kept.", ""}},
       {"notify.webhook",
        {"Address that gets each message as JSON by HTTP POST ([messages](measurement.md#messages)). "
-        "`env:NAME`: "
-        "the address stands in that environment variable, since a secret does not belong into a run file.",
+        "`env:NAME`: the address stands in that environment variable, since a secret does not belong into a "
+        "run file.",
         ""}},
       {"notify.mail_to", {"Mail address that gets each message.", ""}},
       {"notify.mail_from", {"Mail address of the sender; required with `mail_to`.", ""}},
@@ -508,8 +495,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         ""}},
       {"emulator.serial_port",
        {"Serial port of the simulated `vectornav` that is wired. Outputs that a program sets on the other "
-        "port "
-        "are reported.",
+        "port are reported.",
         ""}},
       {"fault.kind", {"Kind of fault; [emulate](emulate.md#faults) describes each.", ""}},
       {"fault.instrument",

@@ -195,8 +195,7 @@ std::string words_for_same_keys(const BenchKey& key) {
   if (same == "accelerometer") return "The keys of `[accelerometer]`.\n";
   if (same == "simulation")
     return "The keys of `[simulation]` that concern the accelerometer, along the item's own axes: its "
-           "mounting "
-           "turns it. Default: as `[simulation]`.\n";
+           "mounting turns it. Default: as `[simulation]`.\n";
   if (same == "emulator")
     return "The keys of `[emulator]` that concern the accelerometer. Default: as `[emulator]`.\n";
   return "The keys of `[" + same + "]`, for this item. Default: as `[" + same + "]`.\n";
@@ -211,9 +210,9 @@ constexpr const char* kPageTop =
     R"(# The bench file: every key
 
 A bench file (TOML, schema `abcal.bench/2`) describes stage, accelerometer, environment, local gravity and the
-measurement. `abcal plan --keys` generates this page from the program's own table of keys; do not edit it.
-`abcal init` finds the instruments, asks five questions and writes a bench file ([first run](tutorial.md#your-own-instruments)).
-Commented examples are in `docs/examples`. `abcal plan BENCH` reports every mistake in a file with its line number.
+measurement. `abcal init` finds the instruments, asks five questions and writes one
+([first run](tutorial.md#your-own-instruments)); commented examples are in `docs/examples`. `abcal plan BENCH`
+reports every mistake in a file with its line number. `abcal plan --keys` makes this page; do not edit it.
 
 - *Default*: the value if the key is absent, as TOML. `-`: no value; the meaning states what happens then.
 - *Range*: empty if any value of the type is accepted. Numbers must be finite.
@@ -222,6 +221,36 @@ Commented examples are in `docs/examples`. `abcal plan BENCH` reports every mist
 - R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: [notation](notation.md).
 - Unknown keys and sections are mistakes.
 )";
+
+/// Section and name of the keys that every bench file with instruments states.
+constexpr std::pair<const char*, const char*> kCommonKeys[] = {{"bench", "g_loc_mps2"},
+                                                               {"item", "model"},
+                                                               {"item", "serial_number"},
+                                                               {"operator", "name"},
+                                                               {"stage", "driver"},
+                                                               {"stage", "port"},
+                                                               {"stage.x", "axis"},
+                                                               {"stage.x", "sign"},
+                                                               {"stage.x", "travel_min_deg"},
+                                                               {"stage.x", "travel_max_deg"},
+                                                               {"accelerometer", "driver"},
+                                                               {"accelerometer", "port"},
+                                                               {"accelerometer", "rate_hz"},
+                                                               {"accelerometer", "response_unit"},
+                                                               {"accelerometer", "full_scale"}};
+
+std::string common_keys(const std::vector<BenchKey>& keys) {
+  std::string table =
+      "\n## The keys that everyone has\n\n"
+      "Everything else has a default. The keys of `[stage.x]` stand under `[stage.z]` too.\n\n"
+      "| section | key | meaning |\n|---|---|---|\n";
+  for (const auto& [section, name] : kCommonKeys) {
+    const auto key = std::ranges::find_if(
+        keys, [&](const BenchKey& each) { return each.section == section && each.key == name; });
+    if (key != keys.end()) table += fmt::format("| `[{}]` | `{}` | {} |\n", section, name, key->meaning);
+  }
+  return table;
+}
 
 }  // namespace
 
@@ -233,10 +262,11 @@ std::vector<BenchKey> bench_keys() {
 }
 
 std::string bench_file_page() {
-  std::string page = kPageTop;
+  const std::vector<BenchKey> keys = bench_keys();
+  std::string page = kPageTop + common_keys(keys);
   std::string section = "none yet";
   bool repeated = false;
-  for (const BenchKey& key : bench_keys()) {
+  for (const BenchKey& key : keys) {
     const std::string same_keys = words_for_same_keys(key);
     if (key.section != section || key.repeated != repeated) {
       section = key.section;

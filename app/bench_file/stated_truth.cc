@@ -230,6 +230,7 @@ void draw_stated_truth(BenchConfig& config, const std::function<bool(const std::
 const std::vector<EffectNotDrawn>& effects_not_drawn() {
   static const std::vector<EffectNotDrawn> kList{
       {"orthogonality_deg", "the angles between the axes are those of sensitivity_matrix"},
+      {"drift_between_runs", "a simulated run is one run"},
       {"voltmeter_gain", "added to a finished result; the simulated voltmeter has none"},
       {"voltmeter_offset", "added to a finished result; the simulated voltmeter has none"},
       {"delay_s", "the delay is group_delay_s less encoder_latency_s"},

@@ -1,13 +1,10 @@
 #pragma once
 
 #include <cstdio>
-#include <optional>
 #include <string>
-#include <vector>
 
 #include "app/commands/run.h"
 #include "app/results/analysis/analyses.h"
-#include "protocol/record/stage_record.h"
 
 namespace abcal {
 
@@ -16,10 +13,10 @@ namespace abcal {
 TruthComparison show_truth(const std::string& bench_file, const StoredRun& run,
                            const CalibrationResult& result, std::FILE* stream);
 
-/// Fits runs of one item on one stage together, and prints the result.
+/// Prints the results of runs that were fitted together, and stores them with a measurement.
+/// @param files  the measurement, or the runs as a command takes them
+/// @param item   from 1: this one alone; 0: all
 /// @return the exit code of the program
-/// @throws as analyse_series_of_runs()
-int print_series(const std::vector<std::string>& files, const std::optional<StageRecord>& record,
-                 ResultForm form);
+int print_measurement(const AnalysedRun& run, const std::string& files, ResultForm form, int item = 0);
 
 }  // namespace abcal

@@ -14,7 +14,7 @@
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/laboratory/register/register_lookup.h"
-#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/planner/known_bench.h"
 #include "app/results/planner/plan_search.h"
@@ -38,9 +38,8 @@ constexpr double kCoarser = 2.0;
 /// The shortest plan that verifies the result of a run.
 ProtocolConfig verification_plan(const ApplyRequest& request, const BenchConfig& config) {
   const int item = chosen_item(request.run, request.item);
-  std::vector<StoredRun> items = load_items(request.run);
-  const std::string estimator = declared_estimator(items.front().record).name;
-  const CalibrationResult found = analyse_run(std::move(items), estimator).item(item).results.front();
+  const AnalysedRun run = analyse_file_by(request.run, {});
+  const CalibrationResult& found = run.item(item).results.front();
   WantedValues wanted;
   double& s = wanted[static_cast<std::size_t>(PlannedOutput::kSensitivity)].emplace(0.0);
   double& offset = wanted[static_cast<std::size_t>(PlannedOutput::kOffset)].emplace(0.0);
@@ -50,7 +49,7 @@ ProtocolConfig verification_plan(const ApplyRequest& request, const BenchConfig&
     offset = std::max(offset, kCoarser * found.offset[j].standard_uncertainty / scale);
   }
   if (!std::isfinite(s) || !std::isfinite(offset)) return config.protocol;
-  PlanSearch search(planning_bench(config, item_of_run(request.run, item)));
+  PlanSearch search(planning_bench(config, item_of_run(run.first_run(request.run), item)));
   const FoundPlan plan = search.shortest(wanted);
   return plan.plan ? plan.plan->protocol : config.protocol;
 }
@@ -114,21 +113,20 @@ CLI::App* add_apply(CLI::App& parent, int& exit_code) {
   CLI::App* command = parent.add_subcommand(
       "apply", "Write the constants of a run into the registers of its accelerometer, and verify them");
   ApplyRequest& request = options->request;
-  command->add_option("RUN", request.run, "complete run of this accelerometer")->required();
-  command->add_option(
-      "--item", request.item,
-      "of a run with several items: which one, from 1. On a bench with several it is known by "
-      "its serial number; if it reports none, it has the same number");
+  command->add_option("RUN", request.run, "complete run of this accelerometer, or measurement of several")
+      ->required();
+  command->add_option("--item", request.item,
+                      "of a run with several items: which one, from 1. On a bench with several it is known "
+                      "by its serial number; if it reports none, it has the same number");
   command->add_option("--to", options->bench_file, "bench file (TOML) of the bench that it is on")
       ->required();
   CLI::Option* dry_run = command->add_flag("--dry-run", request.dry_run,
                                            "show old and new registers and what stays wrong; write nothing");
   CLI::Option* save =
       command->add_flag("--save", request.save, "let the instrument keep them when it is switched off");
-  command->add_flag(
-      "--accept-doubtful", request.accept_doubtful,
-      "write a doubtful result too: read first why it is (such as a scale that is far off, which is "
-      "what is to be corrected)");
+  command->add_flag("--accept-doubtful", request.accept_doubtful,
+                    "write a doubtful result too: read first why it is (such as a scale that is far off, "
+                    "which is what is to be corrected)");
   command->add_flag("--yes", options->yes, "write without a question");
   CLI::Option* undo = command->add_flag(
       "--undo", options->undo, "bring back what was in the registers before the last apply of this run");
@@ -141,10 +139,9 @@ CLI::App* add_apply(CLI::App& parent, int& exit_code) {
   command->add_option("--estimator", request.estimator, "instead of the one that the run declares")
       ->check(CLI::IsMember(std::vector<std::string>(kEstimatorNames.begin(), kEstimatorNames.end())));
   command
-      ->add_option(
-          "--frame", options->frame,
-          "axes of the corrected output: the item's own (item), or those of the stage's platter, which "
-          "corrects the mounting too (platter)")
+      ->add_option("--frame", options->frame,
+                   "axes of the corrected output: the item's own (item), or those of the stage's platter, "
+                   "which corrects the mounting too (platter)")
       ->check(CLI::IsMember({"item", "platter"}))
       ->capture_default_str();
   command->add_option("-o,--output", request.as_left,

@@ -52,10 +52,9 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
                  const BenchConfig& config) {
   if (!std::filesystem::exists(path)) return false;
   if (!options.keep_complete_runs) {
-    throw std::invalid_argument(
-        path.string() +
-        ": exists already; a run is never overwritten: choose another name with -o, or "
-        "continue a campaign that ended early with --go-on");
+    throw std::invalid_argument(path.string() +
+                                ": exists already; a run is never overwritten: choose another name with -o, "
+                                "or continue a campaign that ended early with --go-on");
   }
   const StoredRun stored = RunFile::load(path);
   if (stored.header.bench_toml != write_bench(config)) {
@@ -72,10 +71,9 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
 /// Waits for a person. @throws RunInterrupted
 void ask_to_remount(int run, int runs) {
   wait_for_enter(
-      fmt::format(
-          "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
-          "press Enter when nobody is touching the stage (Ctrl-C ends the campaign): ",
-          run, runs),
+      fmt::format("\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, "
+                  "and press Enter when nobody is touching the stage (Ctrl-C ends the campaign): ",
+                  run, runs),
       "between two runs");
 }
 

@@ -17,7 +17,7 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 29> kHelp{{
+constexpr std::array<CommandHelp, 30> kHelp{{
     {"init", kPrepare, "abcal init\nabcal init --stage emulated"},
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
@@ -34,6 +34,7 @@ constexpr std::array<CommandHelp, 29> kHelp{{
     {"serve", kMeasure, "abcal serve bench.toml"},
     {"bench", kMeasure, "abcal bench bench.toml"},
     {"analyse", kEvaluate, "abcal analyse sn1234.run\nabcal analyse averages.csv --estimator abc --json"},
+    {"combine", kEvaluate, "abcal combine sn1234-a.run sn1234-b.run -o sn1234.measurement"},
     {"uncertainty", kEvaluate, "abcal uncertainty sn1234.run --trials 100000"},
     {"report", kEvaluate, "abcal report sn1234.run --pdf sn1234.pdf"},
     {"compare", kEvaluate, "abcal compare before.run after.run"},

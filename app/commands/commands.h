@@ -15,6 +15,7 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code);
 CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_check(CLI::App& parent, int& exit_code);
 CLI::App* add_analyse(CLI::App& parent, int& exit_code);
+CLI::App* add_combine(CLI::App& parent, int& exit_code);
 CLI::App* add_report(CLI::App& parent, int& exit_code);
 CLI::App* add_issue(CLI::App& parent, int& exit_code);
 CLI::App* add_lab(CLI::App& parent, int& exit_code);

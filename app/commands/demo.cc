@@ -23,7 +23,7 @@
 #include "app/document/document_html.h"
 #include "app/laboratory/register/database.h"
 #include "app/laboratory/register/login.h"
-#include "app/results/analysis/load_record.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/report_data.h"
 #include "app/results/analysis/result_json.h"
 #include "app/results/analysis/result_summary.h"
@@ -108,7 +108,7 @@ class MessagesAtTerminal {
     }
     const auto line = message.find("line");
     if (line != message.end() && line->value("grade", "info") != "info")
-      terminal_.on(NoticeEvent{"", line->value("text", "")});
+      terminal_.on(NoticeEvent{"", Message::bare(line->value("text", ""))});
   }
 
  private:
@@ -145,7 +145,7 @@ struct DemoFiles {
 void write_report(DemoFiles& files) {
   files.report = first_free_path(std::filesystem::path(files.run).replace_extension(".html"));
   const ReportData data = gather_report(files.run, RealClock().utc_now(), 1);
-  OutputFile(files.report).write(document_html(calibration_document(data)).html);
+  OutputFile(files.report).write(document_html(calibration_document(data)));
 }
 
 nlohmann::ordered_json demo_json(const DemoFiles& files, const CalibrationResult& result,
@@ -166,9 +166,7 @@ nlohmann::ordered_json demo_json(const DemoFiles& files, const CalibrationResult
 
 /// Shows the result of the run and its comparison with the emulator's true values. @return the exit code
 int show_results(DemoFiles& files, bool json) {
-  std::vector<StoredRun> items = load_items(files.run);
-  const std::string estimator = declared_estimator(items.front().record).name;
-  const AnalysedRun run = analyse_run(std::move(items), estimator);
+  const AnalysedRun run = analyse_file_by(files.run, {});
   const AnalysedItem& item = run.item(1);
   if (!json) print_result("{}", summary_text(item, files.run.string(), stdout));
   const TruthComparison comparison =
@@ -198,7 +196,8 @@ console::RunEnd measure(console::SteeredRun& steered, const std::stop_token& sto
     return steered.measure("abcal demo", stop);
   } catch (const RunInterrupted&) {
     steered.close();  // Its last messages report what is kept.
-    throw RunInterrupted("the demo was interrupted; its stage is halted and its processes have ended");
+    throw RunInterrupted(
+        Message("the demo was interrupted; its stage is halted and its processes have ended"));
   }
 }
 

@@ -45,13 +45,12 @@ std::string example_bench(const std::string& stage, const std::string& accelerom
 std::string demo_bench(const std::filesystem::path& folder, int steps) {
   std::string text = example_bench(toml_string((folder / "stage").string()),
                                    toml_string((folder / "accelerometer").string()), steps);
-  text.insert(
-      0,
-      "# The bench of `abcal demo`. Its instruments are emulated over pseudo-terminals in real time. To "
-      "serve them again:\n"
-      "#   abcal emulate bench.toml --link-dir .     (in this folder)\n"
-      "#   abcal run bench.toml                      (in another terminal)\n"
-      "# The settle time and the number of readings suit a demonstration, not a calibration.\n");
+  text.insert(0,
+              "# The bench of `abcal demo`. Its instruments are emulated over pseudo-terminals in real time. "
+              "To serve them again:\n"
+              "#   abcal emulate bench.toml --link-dir .     (in this folder)\n"
+              "#   abcal run bench.toml                      (in another terminal)\n"
+              "# The settle time and the number of readings suit a demonstration, not a calibration.\n");
   return text;
 }
 

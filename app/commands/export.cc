@@ -6,7 +6,8 @@
 #include <vector>
 
 #include "app/commands/commands.h"
-#include "app/results/analysis/analyses.h"
+#include "app/commands/table_options.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/temperature_points.h"
 #include "app/results/export/formats.h"
@@ -24,6 +25,7 @@ struct ExportCommand {
   std::string estimator;
   std::string frame = "item";
   std::string output;
+  TableOptions table;
   int item = 0;
   bool force = false;
 };
@@ -31,15 +33,14 @@ struct ExportCommand {
 CorrectionConstants constants_of_file(const ExportCommand& command) {
   const std::string& file = command.files.front();
   const int chosen = chosen_item(file, command.item);
-  std::vector<StoredRun> items = load_items(file);
-  const std::string estimator =
-      command.estimator.empty() ? declared_estimator(items.front().record).name : command.estimator;
-  const AnalysedRun run = analyse_run(std::move(items), estimator);
+  const AnalysedRun run = analyse_file_by(file, command.estimator, command.table);
   const AnalysedItem& item = run.item(chosen);
+  say_how_read(file, item.stored.record);
   CorrectionConstants constants = constants_of(
       item.results.front(), command.frame == "item" ? ExportFrame::kItem : ExportFrame::kPlatter);
-  if (!RunFile::looks_like_run_file(file)) return constants;
-  constants.noise = noise_of_readings(file, chosen);
+  const std::filesystem::path first_run = run.first_run(file);
+  if (!RunFile::looks_like_run_file(first_run)) return constants;
+  constants.noise = noise_of_readings(first_run, chosen);
   constants.performed = item.stored.header.created_utc;
   const RunItem& identity = item.stored.own_item();
   constants.full_scale = identity.full_scale;
@@ -58,14 +59,12 @@ Exported constants_of_series(const ExportCommand& command, const ExportFormat& f
   if (!format.write_over_temperature)
     throw std::invalid_argument(
         fmt::format("--as {}: found {} files, the points of a series over temperature; required: one file, "
-                    "or the formats "
-                    "json, csv, mat, c, which hold constants over temperature",
+                    "or the formats json, csv, mat, c, which hold constants over temperature",
                     format.name, command.files.size()));
   if (command.frame != "item" || !command.estimator.empty())
     throw std::invalid_argument(
         "--frame and --estimator: not with the points of a series over temperature; required: neither, as "
-        "its "
-        "polynomials are of what the mounting does not change, by the estimator that the runs declare");
+        "its polynomials are of what the mounting does not change, by the estimator that the runs declare");
   const auto chosen = static_cast<std::size_t>(chosen_item(command.files.front(), command.item)) - 1;
   const AnalysedSeries series = analyse_series({command.files.begin(), command.files.end()}).at(chosen);
   TemperatureConstants constants = temperature_constants(series.result, series.g_loc_mps2);
@@ -113,19 +112,19 @@ CLI::App* add_export(CLI::App& parent, int& exit_code) {
     formats += fmt::format("\n  {}: {}", format.name, format.words);
   command
       ->add_option("FILE", options->files,
-                   "run file or CSV; several: the points of a series over temperature")
+                   "run file, table or measurement; several: the points of a series over temperature")
       ->required();
   command->add_option("--as", options->format, "format:" + formats)->required();
   command->add_option("--estimator", options->estimator, "instead of the one that the run declares")
       ->check(CLI::IsMember(std::vector<std::string>(kEstimatorNames.begin(), kEstimatorNames.end())));
   command
-      ->add_option(
-          "--frame", options->frame,
-          "axes of the corrected readings: the item's own (item), or those of the stage's platter, which "
-          "corrects the mounting too (platter)")
+      ->add_option("--frame", options->frame,
+                   "axes of the corrected readings: the item's own (item), or those of the stage's platter, "
+                   "which corrects the mounting too (platter)")
       ->check(CLI::IsMember({"item", "platter"}))
       ->capture_default_str();
   command->add_option("--item", options->item, "of a run with several items: which one, from 1");
+  add_table_options(*command, options->table);
   command->add_option("-o,--output", options->output, "file to write (default: standard output)");
   command->add_flag("--force", options->force, "replace a file that exists");
   command->callback([options, &exit_code] {

@@ -72,8 +72,7 @@ std::array<AxisTravel, 2> read_travel(const std::string& answer) {
   throw std::invalid_argument(fmt::format(
       "travel: found X {:g} to {:g}, Z {:g} to {:g} degrees; required: every angle of a full turn, coming "
       "from {:g} degree on the other side, whichever way the axis counts. {:g} degrees from end to end "
-      "always "
-      "suffice, as -5 400. Give the cable more slack, or lead it through a slip ring",
+      "always suffice, as -5 400. Give the cable more slack, or lead it through a slip ring",
       stated[0].min.deg(), stated[0].max.deg(), stated[1].min.deg(), stated[1].max.deg(), approach_deg,
       360.0 + approach_deg));
 }
@@ -95,10 +94,9 @@ void require_answers(const InitCommand& command) {
   read("--operator", command.operator_name, parse_operator);
   read("--axes", command.axes, parse_axes);
   if (!command.mounting.empty() && !mounting_matrix(command.mounting))
-    problems.push_back(
-        fmt::format("--mounting \"{}\": required: the axes of the platter along which u, v and w "
-                    "point, as \"-y x z\"",
-                    command.mounting));
+    problems.push_back(fmt::format(
+        "--mounting \"{}\": required: the axes of the platter along which u, v and w point, as \"-y x z\"",
+        command.mounting));
   if (!command.stage.empty() && command.stage == command.item)
     problems.push_back(
         fmt::format("--stage and --item name one port, {}; required: a port for each", command.stage));
@@ -189,7 +187,7 @@ void confirm_motion(const InitCommand& command, const std::string& axes) {
       axes, kSmallTurnDeg, kSmallTurnDeg);
   std::string answer = command.yes ? "yes" : "";
   if (!ask(Question{"Turn now? (yes or no)", "", "--yes"}, answer, parse_yes_or_no))
-    throw RunInterrupted("the turn was not confirmed: nothing has moved");
+    throw RunInterrupted(Message("the turn was not confirmed: nothing has moved"));
 }
 
 /// The readings of the small turn, and what else the instruments reported.
@@ -249,17 +247,15 @@ void print_costs(const BenchConfig& config, const Turned& turned) {
   const Budget budget = predict_budget(planning_bench(config, item), config.protocol);
   const std::string costs = default_costs_text(default_costs(config.items.front().tolerances, budget));
   if (costs.empty()) return;
-  print_result(
-      "\n{}{}{}",
-      emphasised(
-          stdout, Emphasis::kHeading,
-          wrapped("Sizes that are still defaults: U of a run would be smaller by at least this part if "
-                  "the size were zero",
-                  "", "  ", kTerminalColumns)),
-      costs,
-      wrapped("docs/effects.md: how to find each size, and how to state it under [stage_uncertainty] and "
-              "[item_uncertainty]",
-              "  -> ", "     ", kTerminalColumns));
+  print_result("\n{}{}{}",
+               emphasised(stdout, Emphasis::kHeading,
+                          wrapped("Sizes that are still defaults: U of a run would be smaller by at least "
+                                  "this part if the size were zero",
+                                  "", "  ", kTerminalColumns)),
+               costs,
+               wrapped("docs/effects.md: how to find each size, and how to state it under "
+                       "[stage_uncertainty] and [item_uncertainty]",
+                       "  -> ", "     ", kTerminalColumns));
 }
 
 /// A word of a command as a person would type it.
@@ -377,7 +373,7 @@ int init(InitCommand& command) {
     exit_code = print_findings(check_at_terminal(config, false));
   } catch (const RunInterrupted& interrupted) {
     throw RunInterrupted(
-        fmt::format("{}; {} is written, but not checked", interrupted.what(), command.output.string()));
+        Message("{why}; {file} is written, but not checked", interrupted.message(), command.output.string()));
   }
   print_costs(config, turned);
   print_next(command, instruments, exit_code == kExitDone);
@@ -401,14 +397,12 @@ CLI::App* add_init(CLI::App& parent, int& exit_code) {
   command
       ->add_option("--travel", options->travel,
                    "how far the axes may turn with this cable, in degrees: \"-100 365\", or \"-100 365, -5 "
-                   "400\" for X "
-                   "and Z")
+                   "400\" for X and Z")
       ->option_text("TEXT");
   command
-      ->add_option(
-          "--place", options->place,
-          "latitude in degrees and height in metres, \"52.3 80\"; or local gravity and its U, \"g 9.81234 "
-          "0.00002\"")
+      ->add_option("--place", options->place,
+                   "latitude in degrees and height in metres, \"52.3 80\"; or local gravity and its U, \"g "
+                   "9.81234 0.00002\"")
       ->option_text("TEXT");
   command->add_option("--operator", options->operator_name, "who measures")->option_text("NAME");
   command->add_flag("--yes", options->yes, "turn the stage without asking; somebody must be at its switch");
@@ -419,8 +413,7 @@ CLI::App* add_init(CLI::App& parent, int& exit_code) {
   command
       ->add_option("--mounting", options->mounting,
                    "how the item stands, \"-y x z\" for u, v, w, where marks on the platter say what x is: "
-                   "the sign of X "
-                   "is learned too")
+                   "the sign of X is learned too")
       ->option_text("TEXT");
   command
       ->add_option("--response-unit", options->response_unit,

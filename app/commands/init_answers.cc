@@ -59,8 +59,7 @@ AxisTravel axis_travel(std::string_view text, std::string_view axis) {
   if (!turns)
     throw std::invalid_argument(
         fmt::format("{}: found {:g} to {:g}; required: ends on both sides of zero, where the axis is homed, "
-                    "and one of them {:g} "
-                    "or more away",
+                    "and one of them {:g} or more away",
                     what, least, most, kSmallTurnDeg));
   return {Angle::degrees(least), Angle::degrees(most)};
 }
@@ -78,10 +77,10 @@ std::string_view by_hand_page(const ProbeAnswer& answer) {
 std::array<AxisTravel, 2> parse_travel(std::string_view text) {
   const auto axes = pieces::split(text, ',');
   if (axes.size() > 2)
-    throw std::invalid_argument(fmt::format(
-        "travel: found \"{}\"; required: \"MIN MAX\" for both axes, or \"MIN MAX, MIN MAX\" for X and Z, "
-        "with decimal points",
-        text));
+    throw std::invalid_argument(
+        fmt::format("travel: found \"{}\"; required: \"MIN MAX\" for both axes, or \"MIN MAX, MIN MAX\" for "
+                    "X and Z, with decimal points",
+                    text));
   return {axis_travel(axes.front(), "X"), axis_travel(axes.back(), "Z")};
 }
 
@@ -101,10 +100,10 @@ PlaceAnswer parse_place(std::string_view text) {
     place.height_m = number_within(words[1], "height above sea level (m)", -500.0, 9000.0);
     return place;
   }
-  throw std::invalid_argument(fmt::format(
-      "place: found \"{}\"; required: latitude in degrees and height in metres, as \"52.3 80\", or a "
-      "survey's value with its expanded uncertainty in m/s2, as \"g 9.81234 0.00002\"",
-      pieces::trimmed(text)));
+  throw std::invalid_argument(
+      fmt::format("place: found \"{}\"; required: latitude in degrees and height in metres, as \"52.3 80\", "
+                  "or a survey's value with its expanded uncertainty in m/s2, as \"g 9.81234 0.00002\"",
+                  pieces::trimmed(text)));
 }
 
 std::string gravity_by_formula(const PlaceAnswer& place) {
@@ -193,10 +192,9 @@ void require_role(const Probed& probed, std::string_view role) {
   if (probed.answer->ports > 1)
     throw InstrumentError(
         who, Fault::kWrongIdentity,
-        fmt::format(
-            "it is one of {} of its kind that measure together; required: an instrument with one port, or "
-            "a bench file that is written by hand ({})",
-            probed.answer->ports, by_hand_page(*probed.answer)));
+        fmt::format("it is one of {} of its kind that measure together; required: an instrument with one "
+                    "port, or a bench file that is written by hand ({})",
+                    probed.answer->ports, by_hand_page(*probed.answer)));
 }
 
 std::array<std::string, 2> axes_of(const ProbeAnswer& stage,

@@ -31,14 +31,13 @@ std::string comment(std::string text) {
 std::string bench_section(const PlaceAnswer& place) {
   std::string text = "[bench]\n";
   if (place.g_loc_mps2)
-    return text +
-           fmt::format(
-               "g_loc_mps2 = {}\n"
-               "g_loc_expanded_uncertainty_mps2 = {}\n"
-               "g_loc_k = 2.0\n"
-               "g_loc_source = \"\"                           # state it: a survey, or the number of a "
-               "certificate\n",
-               decimal(*place.g_loc_mps2), decimal(*place.expanded_uncertainty_mps2));
+    return text + fmt::format(
+                      "g_loc_mps2 = {}\n"
+                      "g_loc_expanded_uncertainty_mps2 = {}\n"
+                      "g_loc_k = 2.0\n"
+                      "g_loc_source = \"\"                           # state it: a survey, or the number of "
+                      "a certificate\n",
+                      decimal(*place.g_loc_mps2), decimal(*place.expanded_uncertainty_mps2));
   return text + fmt::format(
                     "latitude_deg = {}\n"
                     "height_m = {}\n"
@@ -63,12 +62,11 @@ std::string item_section(const BenchDraft& draft) {
   }
   if (!draft.learned) return text;
   const LearnedMounting& learned = *draft.learned;
-  return text +
-         fmt::format(
-             "{:<43} # axes of the platter along which u, v, w point: the nearest of 24;\n"
-             "                                            # the item is turned by {:.1f} degrees from it, "
-             "which a run measures\n",
-             "mounting = " + quoted(learned.mounting), learned.tilt.deg());
+  return text + fmt::format(
+                    "{:<43} # axes of the platter along which u, v, w point: the nearest of 24;\n"
+                    "                                            # the item is turned by {:.1f} degrees from "
+                    "it, which a run measures\n",
+                    "mounting = " + quoted(learned.mounting), learned.tilt.deg());
 }
 
 std::string axis_section(const char* name, const std::string& axis, const AxisTravel& controller_travel,
@@ -96,12 +94,12 @@ std::string stage_sections(const BenchDraft& draft) {
   const int sign_x = draft.learned ? draft.learned->sign_x : +1;
   const int sign_z = draft.learned ? draft.learned->sign_z : +1;
   const bool is_sign_x_known = draft.learned && draft.learned->is_sign_x_known;
-  text += axis_section(
-      "x", draft.axes[0], draft.travel[0], sign_x,
-      is_sign_x_known ? "# learned from gravity and from how the item stands, as stated"
-                      : "# 1 by definition: +x of the platter is where X turns right-handed;\n"
-                        "                                            # if +x is marked the other way: `abcal "
-                        "init --mounting`");
+  text +=
+      axis_section("x", draft.axes[0], draft.travel[0], sign_x,
+                   is_sign_x_known ? "# learned from gravity and from how the item stands, as stated"
+                                   : "# 1 by definition: +x of the platter is where X turns right-handed;\n"
+                                     "                                            # if +x is marked the "
+                                     "other way: `abcal init --mounting`");
   return text + axis_section("z", draft.axes[1], draft.travel[1], sign_z,
                              "# learned from gravity, for outputs that are right-handed");
 }
@@ -120,7 +118,7 @@ constexpr const char* kUsualProtocol = R"(
 [protocol]                                  # `abcal plan FILE --reach` finds the shortest one for a wanted uncertainty
 steps = 72                                  # angles of each of the three experiments
 step_deg = 5.0
-settle_s = 5.0                              # from stopped to the first reading that counts
+settle_s = "auto"                           # from stopped to the first reading that counts: as long as the outputs need
 dwell_readings = 1000                       # averaged at each angle
 # mains_hz = 50.0                           # or 60.0: each dwell lasts a whole number of mains periods
 warm_up_s = 1800.0                          # waited with everything on; a check does not wait

@@ -33,7 +33,7 @@ inline std::string indented(const std::string& text) {
 
 /// For an interruption before anything was done that needs an end.
 [[noreturn]] inline void end_without_an_answer() {
-  throw RunInterrupted("init ended without an answer; no bench file is written");
+  throw RunInterrupted(Message("init ended without an answer; no bench file is written"));
 }
 
 /// Asks until `read` accepts the answer, and keeps it in `given`; an answer that was given as an option is

@@ -52,8 +52,7 @@ void print_as_text(const std::vector<wire::PortInfo>& ports,
   for (const auto& driver : chamber_drivers()) print_result("  {:<18} {}\n", driver.name, driver.description);
   print_result(
       "For stages and accelerometers: driver = \"simulated\" (without bytes), or port = \"simulated\" with a "
-      "driver above (its "
-      "bytes, in this program).\n");
+      "driver above (its bytes, in this program).\n");
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
@@ -53,12 +54,12 @@ std::optional<Registered> open_registered(const IssueOptions& options, Clock::Ut
 /// Writes the printed certificate and, if a key is given, its detached signature.
 void write_printed(const IssueOptions& options, const std::string& xml) {
   PdfPrinter printer;
-  const HtmlPage page = document_html(certificate_page(xml));
+  const std::string page = document_html(certificate_page(xml));
   const TemporaryFolder folder;
   const Attachment attachment{folder / "certificate.xml", AttachmentKind::kData};
   OutputFile(attachment.file).write(xml);
   OutputFile pdf(options.pdf);
-  print_pdf(printer, page.html, pdf.temporary(), attachment);
+  print_pdf(printer, page, pdf.temporary(), attachment);
   pdf.commit();
   if (options.asked.key.empty()) return;
   OutputFile(signature_path_of(options.pdf))
@@ -143,10 +144,9 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
                       "change; technical: every change is listed on the certificate");
   command->add_option("--replaced", options->asked.replaced_xml,
                       "XML of the amended certificate, if it is of another run");
-  command->add_option(
-      "--not-witnessed", options->asked.not_witnessed,
-      "the approver's statement why a run that was not witnessed is certified all the same; it is "
-      "printed on the certificate");
+  command->add_option("--not-witnessed", options->asked.not_witnessed,
+                      "the approver's statement why a run that was not witnessed is certified all the same; "
+                      "it is printed on the certificate");
   command->add_option("--sign", options->asked.key,
                       "private key of the approver (PEM): sign the XML, and the PDF");
   command->add_option("--certificate", options->asked.key_certificate, "X.509 certificate of that key (PEM)");

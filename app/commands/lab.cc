@@ -102,11 +102,10 @@ void add_verify_register(CLI::App& parent, const std::shared_ptr<LabOptions>& sh
   CLI::App* command =
       parent.add_subcommand("verify", "Check the register: its audit, its times, its records, its numbers");
   command
-      ->add_option(
-          "--against", options->against,
-          "what is outside the register and names its entries, repeatable: a backup, a certificate "
-          "(XML), a run with certificates, or ENTRY:DIGITS of a printed certificate; finds a register "
-          "that was copied back, continued otherwise or rewritten")
+      ->add_option("--against", options->against,
+                   "what is outside the register and names its entries, repeatable: a backup, a certificate "
+                   "(XML), a run with certificates, or ENTRY:DIGITS of a printed certificate; finds a "
+                   "register that was copied back, continued otherwise or rewritten")
       ->type_name("FILE");
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([shared, options, &exit_code] { exit_code = verify_register(*shared, *options); });

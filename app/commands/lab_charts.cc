@@ -110,8 +110,7 @@ int show(const LabOptions& shared, const ChartOptions& options) {
   if (!options.plot.empty()) require_writable({{"--plot", options.plot}}, {}, options.force);
   lab::Register opened = open_register(shared);
   const ShownChart chart = shown_chart(opened, options.name);
-  if (!options.plot.empty())
-    OutputFile(options.plot).write(draw_svg({"chart " + options.name, chart_script(chart), 800}));
+  if (!options.plot.empty()) OutputFile(options.plot).write(draw_svg(chart_script(chart), 800));
   print_chart(chart, options.json);
   return chart.blocked() ? kExitFailed : kExitDone;
 }

@@ -119,8 +119,7 @@ std::size_t import_file(lab::Register& opened, const lab::LoggedIn& by, const La
     ++added;
     print_log(
         "note: calibration {} of {}: not taken over, since a laboratory file does not say when it was "
-        "performed; "
-        "`abcal lab add calibration` adds it\n",
+        "performed; `abcal lab add calibration` adds it\n",
         one.certificate, identity);
   }
   return added + import_scope(opened, by, file, now);

@@ -54,7 +54,8 @@ void add_add_equipment(CLI::App& add, const std::shared_ptr<LabOptions>& shared,
   command
       ->add_option(
           "--quantity", equipment->quantity,
-          "what it makes traceable: angle, voltage, gravity, temperature, humidity, pressure, level, other")
+          "what it makes traceable: angle, voltage, gravity, temperature, humidity, pressure, level, "
+          "\"stage record\", other")
       ->required();
   command->add_option("--serial-number", equipment->serial_number, "exactly as it identifies itself")
       ->required();
@@ -79,10 +80,14 @@ void add_add_calibration(CLI::App& add, const std::shared_ptr<LabOptions>& share
   command->add_option("CERTIFICATE", options->calibration.certificate, "number of its certificate")
       ->required();
   command->add_option("--equipment", options->calibration.equipment, "identity of the equipment")->required();
-  command->add_option("--issuer", options->calibration.issuer, "who issued it")->required();
+  command
+      ->add_option("--issuer", options->calibration.issuer,
+                   "who issued it; of a stage record, who approves it")
+      ->required();
   command->add_option("--performed", options->calibration.performed, "date, 2026-03-01")->required();
   command->add_option("--due", options->calibration.due, "date until which it holds")->required();
-  command->add_option("--sha256", options->calibration.sha256, "of the certificate's file");
+  command->add_option("--sha256", options->calibration.sha256,
+                      "of the certificate's file, or of the stage record");
   command
       ->add_option("--value", options->values,
                    "a value, repeatable: NAME=VALUE,U,K,UNIT, such as step_deg=0.0003,0.0002,2,deg")
@@ -166,18 +171,17 @@ std::string public_key_for(const KeyOptions& options, const lab::Register& opene
 
 void add_key(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
   auto options = std::make_shared<KeyOptions>();
-  CLI::App* command = parent.add_subcommand(
-      "key",
-      "Make a key with which a bench signs its runs (Ed25519) or a person certificates (ECDSA P-256); the "
-      "register keeps the public part");
+  CLI::App* command =
+      parent.add_subcommand("key",
+                            "Make a key with which a bench signs its runs (Ed25519) or a person certificates "
+                            "(ECDSA P-256); the register keeps the public part");
   command->add_option("OWNER", options->owner, "name of the bench or person")->required();
   command->add_option("-o,--output", options->file, "file for the private key, made with mode 0600");
   command->add_option("--kind", options->kind, "bench or person (default: bench)")
       ->check(CLI::IsMember({"bench", "person"}));
-  command->add_option(
-      "--certificate", options->certificate,
-      "of a person: file for the X.509 certificate; without --output, the certificate of a key "
-      "that was made elsewhere");
+  command->add_option("--certificate", options->certificate,
+                      "of a person: file for the X.509 certificate; without --output, the certificate of a "
+                      "key that was made elsewhere");
   command->callback([shared, options, &exit_code] {
     lab::Register opened = open_register(*shared);
     const auto now = RealClock().utc_now();

@@ -174,7 +174,7 @@ void add_letters(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, in
     for (const Letter& letter : drafts.letters) outputs.push_back({"--output", folder / letter.file_name});
     require_writable(outputs, {}, options->force);
     for (const Letter& letter : drafts.letters) {
-      OutputFile(folder / letter.file_name).write(document_html(letter.document).html);
+      OutputFile(folder / letter.file_name).write(document_html(letter.document));
       print_result("draft for {}: {}\n", letter.customer, (folder / letter.file_name).string());
     }
     print_result("{} draft{} written; nothing was sent\n", drafts.letters.size(),
@@ -182,8 +182,7 @@ void add_letters(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, in
     if (!drafts.without_customer.empty())
       print_warning(
           fmt::format("no letter for {}: the register was not told to whom they were issued; required: "
-                      "`abcal lab add run "
-                      "FILE` with their runs",
+                      "`abcal lab add run FILE` with their runs",
                       fmt::join(drafts.without_customer, ", ")));
     exit_code = drafts.without_customer.empty() ? kExitDone : kExitFailed;
   });
@@ -285,10 +284,9 @@ void add_add_retention(CLI::App& add, const std::shared_ptr<LabOptions>& shared,
 
 void add_add_run(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
   auto files = std::make_shared<std::vector<std::string>>();
-  CLI::App* command = add.add_subcommand(
-      "run",
-      "Tell the register what a run rests on, and of its certificates; a run that ends with a "
-      "register tells it by itself");
+  CLI::App* command = add.add_subcommand("run",
+                                         "Tell the register what a run rests on, and of its certificates; a "
+                                         "run that ends with a register tells it by itself");
   command->add_option("FILE", *files, "run files")->required();
   command->callback([shared, files, &exit_code] {
     lab::Register opened = open_register(*shared);

@@ -12,6 +12,7 @@
 #include "app/bench_file/bench_records.h"
 #include "app/commands/analyse.h"
 #include "app/commands/check.h"
+#include "app/commands/combine.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
@@ -196,11 +197,12 @@ int guide(const Options& options) {
       throw;
     }
   }
-  const int exit_code = print_series(files, std::nullopt, options.form);
+  const std::string measurement = stem_of(options) + ".measurement";
+  const int exit_code = print_measurement(combine(files, {}, measurement), measurement, options.form);
   print_log(
-      "next: abcal analyse {0}-*.run --full, or the record of the stage: abcal stage learn {0}-*.run -o "
+      "next: abcal report {0} --pdf FILE.pdf, or the record of the stage: abcal stage learn {0} -o "
       "bench.stage\n",
-      stem_of(options));
+      measurement);
   return exit_code;
 }
 

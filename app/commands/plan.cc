@@ -250,7 +250,8 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     const BenchConfig config = read_bench(options->bench_file, register_records());
     for (const std::string& warning : config.warnings) print_warning(warning);
     if (options->reach.has_details() && !options->reach.asked())
-      throw CLI::ValidationError("--noise, --estimator, --plot and --write go with --reach or --time");
+      throw CLI::ValidationError(
+          "--noise, --estimator, --others, --plot and --write go with --reach or --time");
     if (options->reach.asked()) {
       options->reach.bench_file = options->bench_file;
       options->reach.json = options->json;

@@ -17,17 +17,20 @@ struct ReachOptions {
       noise;  ///< Standard deviation of one reading in g_loc, or a run or CSV; empty: of [simulation].
   std::string estimator;  ///< Empty: that of the bench file.
   std::string plot;       ///< SVG to write: uncertainty against time.
+  bool others = false;    ///< Print too what other times give; --plot does.
   bool write = false;     ///< Put the plan into the bench file.
   bool json = false;
 
   bool asked() const { return !reach.empty() || !time.empty(); }
   /// Something that goes with --reach or --time was given.
-  bool has_details() const { return !noise.empty() || !estimator.empty() || !plot.empty() || write; }
+  bool has_details() const {
+    return !noise.empty() || !estimator.empty() || !plot.empty() || others || write;
+  }
 };
 
 /// Adds --reach, --time and --noise.
 void add_question_options(CLI::App& command, ReachOptions& options);
-/// Adds the question options, --estimator, --plot and --write.
+/// Adds the question options, --estimator, --others, --plot and --write.
 void add_reach_options(CLI::App& command, ReachOptions& options);
 
 /// The given --reach, --time and --noise in one line: "reach s=1e-5, noise 1e-4". Empty: none given.

@@ -19,7 +19,8 @@ std::vector<Probed> probe_with_bar(const std::vector<std::string>& ports, const 
   const auto drivers =
       static_cast<double>(stage_drivers().size() + accelerometer_drivers().size() + chamber_drivers().size());
   std::vector<Probed> all = probe_ports(ports, [&](const std::string& port, const std::string& driver) {
-    if (stop.stop_requested()) throw RunInterrupted(port + ": not asked to the end: interrupted");
+    if (stop.stop_requested())
+      throw RunInterrupted(Message("{port}: not asked to the end: interrupted", port));
     const std::lock_guard lock(bar_mutex);
     bar.show(static_cast<double>(asked++), static_cast<double>(ports.size()) * drivers,
              port + " for " + driver);

@@ -11,9 +11,11 @@
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/commands/print_pdf.h"
+#include "app/commands/table_options.h"
 #include "app/document/document_html.h"
 #include "app/document/document_text.h"
 #include "app/document/weasyprint.h"
+#include "app/document/write_pdf.h"
 #include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue_certificate.h"
@@ -37,6 +39,7 @@ struct ReportOptions {
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
   CertificateFiles certificate;
+  TableOptions table;
   int item = 0;
   bool draft = false, record = false, json = false, force = false;
 };
@@ -47,22 +50,28 @@ struct Output {
   std::function<void(OutputFile& file)> write;
 };
 
-void print_warnings(const HtmlPage& page) {
-  for (const std::string& warning : page.warnings) print_warning(warning);
-}
+/// The pages of a report or a certificate.
+struct Pages {
+  Document document;
+  std::string certificate_xml;    ///< Empty: they are those of a report.
+  PdfPrinter* printer = nullptr;  ///< Prints a certificate.
+};
 
 /// The PDF of a certificate contains its XML, unless another attachment is requested.
-void write_pdf(PdfPrinter& printer, const HtmlPage& page, OutputFile& file, const std::string& attached,
-               const std::string& certificate_xml) {
+void write_pages(const Pages& pages, OutputFile& file, const std::string& attached) {
   const TemporaryFolder folder;
   std::optional<Attachment> attachment;
   if (!attached.empty()) {
     attachment = {attached, AttachmentKind::kSupplement};
-  } else if (!certificate_xml.empty()) {
+  } else if (!pages.certificate_xml.empty()) {
     attachment = {folder / "certificate.xml", AttachmentKind::kData};
-    OutputFile(attachment->file).write(certificate_xml);
+    OutputFile(attachment->file).write(pages.certificate_xml);
   }
-  print_pdf(printer, page.html, file.temporary(), attachment);
+  if (pages.printer != nullptr) {
+    print_pdf(*pages.printer, document_html(pages.document), file.temporary(), attachment);
+  } else {
+    write_pdf(pages.document, file.temporary(), attachment);
+  }
   file.commit();
 }
 
@@ -75,24 +84,17 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   return unchanged && current_certificate(data.path, data.item);
 }
 
-/// Makers of the pages: the HTML page, made once, and the printer, if a PDF is requested.
-struct PageMakers {
-  std::function<const HtmlPage&()> page;
-  PdfPrinter* printer = nullptr;
-};
-
 /// The requested outputs.
 std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<ReportData>& items,
-                               const std::string& certificate_xml, const PageMakers& makers) {
+                               const Pages& pages) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
     if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
   };
-  add("--html", options.html, [makers](OutputFile& file) { file.write(makers.page().html); });
-  add("--pdf", options.pdf, [makers, &options, &certificate_xml](OutputFile& file) {
-    write_pdf(*makers.printer, makers.page(), file, options.attachment, certificate_xml);
-  });
-  add("--dcc", options.dcc, [&certificate_xml](OutputFile& file) { file.write(certificate_xml); });
+  add("--html", options.html, [&pages](OutputFile& file) { file.write(document_html(pages.document)); });
+  add("--pdf", options.pdf,
+      [&pages, &options](OutputFile& file) { write_pages(pages, file, options.attachment); });
+  add("--dcc", options.dcc, [&pages](OutputFile& file) { file.write(pages.certificate_xml); });
   add("--csv", options.csv, [&items](OutputFile& file) { file.write(averaged_csv(items)); });
   add("--csv-raw", options.csv_raw, [&items](OutputFile& file) {
     write_raw_csv(items, file.temporary());
@@ -129,9 +131,14 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
   require_writable(requested, inputs, options.force);
   if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
     throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));
+  if (data.is_of_several_runs() && !(options.csv.empty() && options.csv_raw.empty() && options.hdf5.empty()))
+    throw std::invalid_argument(
+        fmt::format("--csv, --csv-raw, --hdf5: {} is a measurement of several runs, and these files hold the "
+                    "readings of one; required: one of its runs",
+                    options.file));
   if (!options.csv_raw.empty() && !data.run) {
     throw std::invalid_argument(
-        fmt::format("--csv-raw: {} is a CSV of averaged readings and has no single readings", options.file));
+        fmt::format("--csv-raw: {} is a table and has no single readings beside its own", options.file));
   }
 }
 
@@ -146,22 +153,24 @@ bool wants_data_alone(const ReportOptions& options) {
 
 CLI::App* add_report(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<ReportOptions>();
-  CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
-  command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
-  command->add_option("--item", options->item,
-                      "of a run with several items: whose report, from 1 (--csv, --csv-raw and --hdf5 alone: "
-                      "default all)");
+  CLI::App* command =
+      parent.add_subcommand("report", "The report of a run or table, for people and programs");
+  command->add_option("RUN", options->file, "run file, measurement, or table of readings")->required();
+  command->add_option(
+      "--item", options->item,
+      "of a run with several items: whose report, from 1 (--csv, --csv-raw and --hdf5 alone: default all)");
+  add_table_options(*command, options->table);
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
-  CLI::Option* pdf = command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
+  CLI::Option* pdf =
+      command->add_option("--pdf", options->pdf, "write the report as PDF (a certificate: by WeasyPrint)");
   command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
   command->add_option("--csv", options->csv,
                       "write the averaged readings as CSV, which `abcal analyse` reads");
   command->add_option("--csv-raw", options->csv_raw, "write the single readings as CSV");
   command->add_option("--hdf5", options->hdf5, "write readings and results as HDF5 with NeXus conventions");
-  command->add_option(
-      "--dcc", options->dcc,
-      "write the digital calibration certificate (XML, DCC 3.3.0): the one that was issued, or "
-      "a draft; docs/certificate.md");
+  command->add_option("--dcc", options->dcc,
+                      "write the digital calibration certificate (XML, DCC 3.3.0): the one that was issued, "
+                      "or a draft; docs/certificate.md");
   add_certificate_options(*command, options->certificate);
   command->add_flag("--draft", options->draft,
                     "make a draft of the certificate even if the run or its equipment has problems");
@@ -173,37 +182,32 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
-    std::optional<PdfPrinter> printer;
-    if (!options->pdf.empty()) printer.emplace();
     const int item = wants_data_alone(*options) ? options->item : chosen_item(options->file, options->item);
-    const std::vector<ReportData> items = gather_items(options->file, RealClock().utc_now(), item);
+    const std::vector<ReportData> items =
+        gather_items(options->file, RealClock().utc_now(), item, options->table);
     const ReportData& data = items.front();
-    std::string certificate_xml;
-    if (of_certificate(*options, data))
-      certificate_xml =
+    say_how_read(options->file, data.record);
+    Pages pages;
+    std::optional<PdfPrinter> printer;
+    if (of_certificate(*options, data)) {
+      if (!options->pdf.empty()) pages.printer = &printer.emplace();
+      pages.certificate_xml =
           certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
-    const Document document =
-        certificate_xml.empty() ? calibration_document(data) : certificate_page(certificate_xml);
-    std::optional<HtmlPage> made;
-    const auto page = [&]() -> const HtmlPage& {
-      if (!made) {
-        made = document_html(document);
-        print_warnings(*made);
-      }
-      return *made;
-    };
-    const std::vector<Output> outputs =
-        outputs_of(*options, items, certificate_xml, {page, printer ? &*printer : nullptr});
+      pages.document = certificate_page(pages.certificate_xml);
+    } else {
+      pages.document = calibration_document(data);
+    }
+    const std::vector<Output> outputs = outputs_of(*options, items, pages);
     check(*options, data, outputs);
     write_all(outputs, options->json);
     if (options->json) {
       nlohmann::ordered_json json = report_json(data);
-      if (!certificate_xml.empty()) json["certificate"] = certificate_json(certificate_xml);
+      if (!pages.certificate_xml.empty()) json["certificate"] = certificate_json(pages.certificate_xml);
       print_result("{}\n", json.dump(2));
     } else if (outputs.empty()) {
-      print_result("{}", document_text(document, stdout));
+      print_result("{}", document_text(pages.document, stdout));
     }
-    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
+    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : pages.document.cautions)
       print_log("caution: {}\n", caution);
     const bool has_numbers = std::ranges::any_of(
         items, [](const ReportData& each) { return each.result().verdict != Verdict::kNotUsable; });

@@ -82,8 +82,8 @@ int print_outcome(const RunOutcome& outcome, ResultForm form) {
       break;
     }
     case ResultForm::kFull:
-      print_result("{}\n{}\nFile: {}\n{}", full_text(outcome, stdout), timing_text(outcome.stored().timing),
-                   outcome.path.string(), hash_line(outcome));
+      print_result("{}\n{}\nFile: {}\n{}", full_text(outcome, outcome.path.string(), stdout),
+                   timing_text(outcome.stored().timing), outcome.path.string(), hash_line(outcome));
       break;
     case ResultForm::kSummary:
       print_result("{}{}", summary_text(outcome, outcome.path.string(), stdout), hash_line(outcome));

@@ -75,13 +75,12 @@ void add_common_options(CLI::App& command, SimulateOptions& options) {
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
   command
-      .add_option(
-          "SET", options.set,
-          "one of " + sets +
-              "; joint: the joint estimator's coverage; robustness: coverage and verdicts on benches that "
-              "break the model; stage-records: faces, mountings and records of a stage; constant-rate: "
-              "runs at a constant rate; or calibration: whether the intervals hold on benches that are drawn "
-              "from what is stated")
+      .add_option("SET", options.set,
+                  "one of " + sets +
+                      "; joint: the joint estimator's coverage; robustness: coverage and verdicts on benches "
+                      "that break the model; stage-records: faces, mountings and records of a stage; "
+                      "constant-rate: runs at a constant rate; or calibration: whether the intervals hold on "
+                      "benches that are drawn from what is stated")
       ->required();
   command.add_option("--trials", options.trials, "simulations (default: as many as in the paper)");
   command.add_option("--seed", options.seed, "seed of the random numbers")->capture_default_str();
@@ -143,10 +142,9 @@ void add_robustness_options(CLI::App& command, SimulateOptions& options) {
       ->group("study of calibrations")
       ->delimiter(',');
   command
-      .add_option(
-          "BENCH", options.bench,
-          "calibration: a bench file, whose measurement is then the only kind; its simulated truth is drawn "
-          "anew for each bench")
+      .add_option("BENCH", options.bench,
+                  "calibration: a bench file, whose measurement is then the only kind; its simulated truth "
+                  "is drawn anew for each bench")
       ->group("study of calibrations");
   command
       .add_flag("--power", options.power,

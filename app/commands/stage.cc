@@ -16,7 +16,7 @@
 #include "app/bench_file/stage_record_file.h"
 #include "app/commands/commands.h"
 #include "app/document/band_figure.h"
-#include "app/document/gnuplot.h"
+#include "app/document/drawing_svg.h"
 #include "app/results/analysis/series_of_runs.h"
 #include "app/results/analysis/stage_record_use.h"
 #include "app/system/exit_code.h"
@@ -24,8 +24,8 @@
 #include "app/system/output_file.h"
 #include "app/system/terminal.h"
 #include "protocol/estimators/checks/result_checks.h"
-#include "protocol/estimators/series/series_result.h"
-#include "protocol/estimators/series/stage_curves.h"
+#include "protocol/estimators/measurement/measurement_result.h"
+#include "protocol/estimators/measurement/stage_curves.h"
 #include "protocol/statistics/distributions.h"
 #include "protocol/statistics/median.h"
 
@@ -108,7 +108,8 @@ void write_figures(const StageRecord& record, const std::filesystem::path& folde
   };
   std::filesystem::create_directories(folder);
   const auto write = [&](const std::string& name, const char* caption, const std::vector<BandPanel>& panels) {
-    OutputFile(folder / name).write(draw_svg(band_figure(caption, "angle, degrees", panels)));
+    OutputFile(folder / name)
+        .write(svg_file(band_figure(caption, "angle, degrees", panels).drawing, caption));
     print_log("wrote {}\n", (folder / name).string());
   };
   std::vector<BandPanel> angles;
@@ -137,12 +138,13 @@ void require_usable(const RunsOfStage& loaded, const SeriesRuns& each) {
     if (each.alone[k].verdict != Verdict::kUsable) why = each.alone[k].why;
     for (const Check& check : check_record(loaded.runs[k].record))
       if (!check.passed) why += (why.empty() ? "" : "; ") + check.words;
+    if (is_at_constant_rate(loaded.runs[k].record))
+      why += "the stage turned at constant rates: the mean over a step is not the error at an angle";
     if (!why.empty()) words += fmt::format("\n  {}: {}", loaded.files[k], why);
   }
   if (!words.empty())
     throw std::invalid_argument(
-        "these runs are not usable, and a record would keep what is wrong with them; required: "
-        "usable runs:" +
+        "these runs are not usable, and a record would keep what is wrong with them; required: usable runs:" +
         words);
 }
 
@@ -166,14 +168,14 @@ int learn(const LearnOptions& options) {
   std::error_code ignored;
   if (std::filesystem::exists(options.output, ignored))
     throw std::invalid_argument(fmt::format("-o {}: exists; required: a new file", options.output));
-  const RunsOfStage loaded = load_runs_of_stage(options.runs, false);
+  const RunsOfStage loaded = load_runs_of_stage(options.runs);
   const std::string& first_utc = loaded.runs.front().header.created_utc;
   const std::string& last_utc = loaded.runs.back().header.created_utc;
   if (months_between(first_utc, last_utc) > kMonthsOfOneLearning)
-    throw std::invalid_argument(fmt::format(
-        "the runs began between {} and {}; required: runs of two days, as the stage changes from day to "
-        "day; learn the later ones with --record",
-        first_utc.substr(0, 10), last_utc.substr(0, 10)));
+    throw std::invalid_argument(
+        fmt::format("the runs began between {} and {}; required: runs of two days, as the stage changes from "
+                    "day to day; learn the later ones with --record",
+                    first_utc.substr(0, 10), last_utc.substr(0, 10)));
   std::optional<StageRecord> before;
   double months = 0.0;
   if (!options.before.empty()) {
@@ -181,7 +183,8 @@ int learn(const LearnOptions& options) {
     require_new_runs(loaded, *before, options.before);
     months = months_between(before->learned_utc(), last_utc);
   }
-  const SeriesRuns each = fit_each_run(loaded.records(), loaded.items, {});
+  const std::vector<RunRecord> records = loaded.records();
+  const SeriesRuns each = fit_each_run(records, loaded.places, {});
   require_usable(loaded, each);
   StageLearned learned = learn_stage(each.runs, before, months);
   if (!learned.fit.converged)
@@ -194,7 +197,7 @@ int learn(const LearnOptions& options) {
   Learning& learning = record.learnings.emplace_back(Learning{last_utc, options.by, {}});
   for (std::size_t k = 0; k < loaded.runs.size(); ++k)
     learning.runs.push_back({std::filesystem::path(loaded.files[k]).filename().string(), loaded.sha256[k],
-                             item_of(loaded.runs[k]), learned.fit.runs[k].mounting()});
+                             item_of(loaded.runs[k]), learned.fit.in_runs[k].mounting()});
   constexpr double kContradiction = 1e-5;
   if (probability < kContradiction)
     throw std::runtime_error(fmt::format(
@@ -205,8 +208,7 @@ int learn(const LearnOptions& options) {
   for (const EffectTest& change : learned.changes)
     print_log(
         "warning: since the record before the stage has changed: {} ({:.1f} times what it expects, "
-        "probability "
-        "{:.1g})\n",
+        "probability {:.1g})\n",
         change.name, change.times_stated, change.probability);
   print_result("{}", record_text(read_stage_record(options.output), options.output));
   print_log("next: record = \"{}\" under [stage] of the bench file, or abcal analyse RUN --stage-record {}\n",
@@ -234,9 +236,10 @@ std::string tests_table(const std::vector<EffectTest>& tests) {
 
 int check_against(const std::string& file, const std::string& run, bool json) {
   const auto record = std::make_shared<const StageRecord>(read_stage_record(file));
-  RunsOfStage loaded = load_runs_of_stage({run}, true);
+  RunsOfStage loaded = load_runs_of_stage({run});
   use_stage_record(loaded.runs, record, run);
-  const CalibrationResult result = analyse(loaded.runs.front().record, "joint");
+  const RunAnalysis analysis = analyse_items(loaded.records(), {&find_estimator("joint")});
+  const CalibrationResult& result = analysis.joint.items.front().result;
   if (!result.stage_record) throw std::runtime_error(fmt::format("{}: {}", run, result.why));
   const StageRecordUse& use = *result.stage_record;
   if (json) {

@@ -15,7 +15,7 @@
 #include "app/commands/terminal_listener.h"
 #include "app/document/document_html.h"
 #include "app/document/document_text.h"
-#include "app/document/weasyprint.h"
+#include "app/document/write_pdf.h"
 #include "app/laboratory/issuing/register_link.h"
 #include "app/laboratory/register/register_lookup.h"
 #include "app/measure/session/temperature_series.h"
@@ -132,18 +132,11 @@ void check_item(const TemperatureOptions& options, const BenchConfig& config) {
 }
 
 void write_pages(const TemperatureOptions& options, const Document& document) {
-  if (options.html.empty() && options.pdf.empty()) return;
-  std::optional<PdfPrinter> printer;
-  if (!options.pdf.empty()) printer.emplace();
-  const HtmlPage page = document_html(document);
-  for (const std::string& warning : page.warnings) print_warning(warning);
-  if (!options.html.empty()) OutputFile(options.html).write(page.html);
-  if (printer) {
-    OutputFile file(options.pdf);
-    printer->print(page.html, file.temporary(), std::nullopt,
-                   [] { return interrupt_token().stop_requested(); });
-    file.commit();
-  }
+  if (!options.html.empty()) OutputFile(options.html).write(document_html(document));
+  if (options.pdf.empty()) return;
+  OutputFile file(options.pdf);
+  write_pdf(document, file.temporary(), std::nullopt, [] { return interrupt_token().stop_requested(); });
+  file.commit();
 }
 
 }  // namespace
@@ -162,7 +155,7 @@ CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
                       "of several items: whose report, from 1 (default: all; --html and --pdf: one)");
   add_question_options(*command, options->plan);
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
-  command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
+  command->add_option("--pdf", options->pdf, "write the report as PDF");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.temperature/1");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file, register_records());

@@ -37,8 +37,7 @@ void TerminalListener::line(const std::string& text) {
 void TerminalListener::show(const RunBeganEvent& event) {
   if (options_.introduce && !event.resumed) {
     print_log(
-        "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about "
-        "{}{}\n",
+        "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about {}{}\n",
         event.stage.maker, event.stage.model, event.stage.serial_number, event.accelerometer.maker,
         event.accelerometer.model, event.accelerometer.serial_number, event.rate_hz, event.unit,
         event.plan.size(), describe_duration(event.estimated_s),

@@ -6,12 +6,15 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <utility>
 
 #include "app/bench_file/stage_record_file.h"
 #include "app/commands/simulate.h"
-#include "app/results/analysis/analyses.h"
+#include "app/commands/table_options.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/estimators.h"
 #include "app/results/analysis/load_record.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/stage_record_use.h"
 #include "app/studies/trials/study_json.h"
 #include "app/studies/trials/study_text.h"
@@ -26,8 +29,9 @@
 namespace abcal {
 namespace {
 
-struct Options {
+struct StudyOptions {
   std::string file, estimator, preset, stage_record;
+  TableOptions table;
   std::optional<std::int64_t> trials;
   std::optional<int> digits;
   std::int64_t seed = 1;
@@ -37,30 +41,32 @@ struct Options {
 };
 
 /// The estimator that the study is of: the one asked for, or the one that the run declared.
-const Estimator& estimator_of(const Options& options, const RunRecord& record) {
+const Estimator& estimator_of(const StudyOptions& options, const RunRecord& record) {
   const Estimator& estimator =
       options.estimator.empty() ? declared_estimator(record) : find_estimator(options.estimator);
-  if (!estimator.certifiable)
-    throw std::invalid_argument(fmt::format(
-        "uncertainty: {} declares estimator \"{}\", which has no Monte Carlo; required: --estimator joint or "
-        "--estimator abc",
-        options.file, estimator.name));
-  if (estimator.fit != nullptr) return estimator;
-  const auto only_of_abc = [&](bool given, const char* option) {
+  const auto only_of = [&](bool given, const char* option, const char* of) {
     if (given)
-      throw std::invalid_argument(
-          fmt::format("{}: it belongs to the ABC result, and the study is of the {} result{}; required: "
-                      "--estimator abc with it",
-                      option, estimator.name, options.estimator.empty() ? ", which the run declared" : ""));
+      throw std::invalid_argument(fmt::format(
+          "{}: it belongs to the {} result, and the study is of the {} result{}; required: "
+          "--estimator {} with it",
+          option, of, estimator.name, options.estimator.empty() ? ", which the run declared" : "", of));
   };
-  only_of_abc(options.resolution.has_value(), "--resolution");
-  only_of_abc(!options.preset.empty(), "--preset");
-  only_of_abc(!options.stage_record.empty(), "--stage-record");
+  if (!estimator.rests_on_stated_sizes) {
+    only_of(options.resolution.has_value(), "--resolution", "abc");
+    only_of(!options.preset.empty(), "--preset", "abc");
+    only_of(!options.stage_record.empty(), "--stage-record", "abc");
+  }
+  if (!estimator.needs_angles)
+    for (const auto& [option, given] : {std::pair{"--alignment", options.alignment},
+                                        {"--step", options.step},
+                                        {"--initial-turn", options.initial_turn},
+                                        {"--zero", options.zero}})
+      only_of(given.has_value(), option, "joint");
   return estimator;
 }
 
 /// Sizes from the command line take the place of the run's own.
-void override_sizes(const Options& options, EffectSizes& sizes) {
+void override_sizes(const StudyOptions& options, EffectSizes& sizes) {
   const auto override_with = [&](std::optional<double> degrees, const char* key, Angle& size) {
     if (!degrees) return;
     size = Angle::degrees(*degrees);
@@ -73,14 +79,36 @@ void override_sizes(const Options& options, EffectSizes& sizes) {
   override_with(options.zero, "zero_deg", sizes.zero);
 }
 
-/// The study of an item that was measured together with others: the joint result is that of their common fit.
-RunUncertainty study_of_common_fit(std::vector<StoredRun> items, const Options& options) {
-  for (StoredRun& item : items) override_sizes(options, item.record.tolerances);
-  const AnalysedRun run = analyse_run(std::move(items), "joint");
+/// The item of a run that is asked for.
+int chosen(const StudyOptions& options) {
   const NamedItem named = named_item(options.file);
-  const int item = chosen_item(named.file, options.item != 0 ? options.item : named.item);
+  return chosen_item(named.file, options.item != 0 ? options.item : named.item);
+}
+
+/// The study of a measurement of several runs.
+RunUncertainty study_of_measurement(const StudyOptions& options) {
+  const bool overrides = options.alignment || options.step || options.initial_turn || options.zero ||
+                         !options.stage_record.empty();
+  if (overrides)
+    throw std::invalid_argument(
+        fmt::format("{}: the sizes of a measurement are those of its runs; required: none of --alignment, "
+                    "--step, --initial-turn, --zero, --stage-record",
+                    options.file));
+  const AnalysedRun run = analyse_file(options.file, options.estimator);
+  const AnalysedItem& item = run.item(chosen_item(options.file, options.item));
+  return common_fit_uncertainty(item.stored.record, item.results.front(), "several runs");
+}
+
+/// The study of an item that was measured together with others, or with a record of the stage: the joint
+/// result is that of their common fit.
+RunUncertainty study_of_common_fit(std::vector<StoredRun> items, const StudyOptions& options) {
+  for (StoredRun& item : items) override_sizes(options, item.record.tolerances);
+  const char* const of =
+      items.front().record.stage_record.record ? "the run with the record of its stage" : "several items";
+  const AnalysedRun run = analyse_run(std::move(items), "joint");
+  const int item = chosen(options);
   for (const AnalysedItem& one : run.items) {
-    if (one.stored.item == item) return common_fit_uncertainty(one.stored.record, one.results.front());
+    if (one.stored.item == item) return common_fit_uncertainty(one.stored.record, one.results.front(), of);
   }
   throw std::invalid_argument(fmt::format("{} has no item {}", options.file, item));
 }
@@ -90,31 +118,33 @@ StageRecord stage_record_of(const std::string& file) {
   const std::string text = read_file(file);
   const nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
   if (json.is_object() && json.contains("step_error"))
-    throw std::invalid_argument(fmt::format(
-        "{}: is the JSON of a joint analysis. Its step errors are of one run and without their covariances, "
-        "and "
-        "an uncertainty from them is three times too small; required: the record of a stage (`abcal stage "
-        "learn`)",
-        file));
+    throw std::invalid_argument(
+        fmt::format("{}: is the JSON of a joint analysis. Its step errors are of one run and without their "
+                    "covariances, and an uncertainty from them is three times too small; required: the "
+                    "record of a stage (`abcal stage learn`)",
+                    file));
   return parse_stage_record(text, file);
 }
 
-/// The readings of the item, with the record of its stage: the one that is asked for, else the run's own.
-RunRecord run_of(const Options& options) {
-  if (options.stage_record.empty()) return load_record(options.file, options.item).record;
-  const NamedItem named = named_item(options.file);
-  std::vector<StoredRun> items = load_items(named.file);
-  use_stage_record(items, std::make_shared<const StageRecord>(stage_record_of(options.stage_record)),
-                   named.file);
-  const int item = chosen_item(named.file, options.item != 0 ? options.item : named.item);
-  return items.at(static_cast<std::size_t>(item) - 1).record;
+/// The items, with the record of their stage: the one that is asked for, else the run's own.
+std::vector<StoredRun> items_of(const StudyOptions& options) {
+  const std::string file = named_item(options.file).file;
+  std::vector<StoredRun> items = load_items(file, options.table);
+  say_how_read(file, items.front().record);
+  if (!options.stage_record.empty())
+    use_stage_record(items, std::make_shared<const StageRecord>(stage_record_of(options.stage_record)), file);
+  return items;
 }
 
-RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
-  RunRecord record = run_of(options);
-  const bool joint = estimator_of(options, record).fit == nullptr;
+RunUncertainty study_of(const StudyOptions& options, MonteCarloTeam* team) {
+  if (looks_like_measurement(options.file)) return study_of_measurement(options);
+  std::vector<StoredRun> items = items_of(options);
+  RunRecord record = items.at(static_cast<std::size_t>(chosen(options)) - 1).record;
+  const Estimator& estimator = estimator_of(options, record);
+  require_angles(record, estimator);
+  const bool joint = estimator.fit == nullptr;
   UncertaintyOptions uncertainty;
-  if (joint) uncertainty.trials = kJointTrials;
+  if (!estimator.rests_on_stated_sizes) uncertainty.trials = kJointTrials;
   if (options.trials) uncertainty.trials = not_negative("--trials", *options.trials);
   if (options.digits) {
     uncertainty.trials.reset();
@@ -126,14 +156,8 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
   uncertainty.paper_preset = options.preset == "paper";
   override_sizes(options, record.tolerances);
   if (joint) {
-    if (record.stage_record.record)
-      throw std::invalid_argument(fmt::format(
-          "{}: the run uses a record of its stage, which this simulation does not draw from; `abcal analyse` "
-          "gives the uncertainty, or analyse it with the published estimator (--estimator {})",
-          options.file, kPublishedEstimator));
     check_tolerances(record.tolerances);
-    std::vector<StoredRun> items = load_items(named_item(options.file).file);
-    if (items.size() > 1) return study_of_common_fit(std::move(items), options);
+    if (items.size() > 1 || record.stage_record.record) return study_of_common_fit(std::move(items), options);
   }
   uncertainty.stop = interrupt_token();
   RealClock clock;
@@ -145,8 +169,9 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
     }
   };
   uncertainty.team = team;
-  RunUncertainty study =
-      joint ? joint_uncertainty(record, uncertainty) : run_uncertainty(record, uncertainty);
+  RunUncertainty study = joint                    ? joint_uncertainty(record, uncertainty)
+                         : estimator.needs_angles ? run_uncertainty(record, uncertainty)
+                                                  : norm_uncertainty(record, uncertainty);
   bar.clear();
   return study;
 }
@@ -174,18 +199,21 @@ StudyProcesses one_process() {
 }
 
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<StudyOptions>();
   CLI::App* command = parent.add_subcommand(
       "uncertainty", "Uncertainty of a run's result: budget, Monte Carlo, coverage intervals");
-  command->add_option("FILE", options->file, "run file, or CSV of averaged readings")->required();
+  command->add_option("FILE", options->file, "run file, measurement, or table of readings")->required();
   command
       ->add_option("--estimator", options->estimator,
-                   "whose result: joint or abc (default: the one that the run declared)")
+                   "whose result: joint, abc or norm (default: the one that the run declared; of a table "
+                   "joint with angles "
+                   "and norm without)")
       ->check(CLI::IsMember(estimator_names()));
   command->add_option("--item", options->item, "of a run with several items: which one, from 1");
+  add_table_options(*command, options->table);
   CLI::Option* trials = command->add_option(
       "--trials", options->trials,
-      "Monte Carlo trials (default: 10000 of the joint result, 200000 of the ABC result)");
+      "Monte Carlo trials (default: 10000 of the joint and norm results, 200000 of the ABC result)");
   command
       ->add_option("--digits", options->digits,
                    "adaptive: as many trials as 1 or 2 significant digits of u require")
@@ -205,10 +233,9 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
       ->add_option("--preset", options->preset,
                    "abc; paper: the bounds of Geist & Gaitan 2021, section 5, as type B")
       ->check(CLI::IsMember({"paper"}));
-  command->add_option(
-      "--stage-record,--measured-acs", options->stage_record,
-      "abc: record of the stage (`abcal stage learn`), for the type A evaluation (default: the "
-      "record that the run keeps)");
+  command->add_option("--stage-record,--measured-acs", options->stage_record,
+                      "abc: record of the stage (`abcal stage learn`), for the type A evaluation (default: "
+                      "the record that the run keeps)");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
   command->callback([options, processes = std::move(processes), &exit_code] {
     const std::unique_ptr<MonteCarloTeam> team = processes.join();

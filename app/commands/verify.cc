@@ -15,6 +15,7 @@
 #include "app/laboratory/issuing/certificate_evidence.h"
 #include "app/laboratory/issuing/run_evidence.h"
 #include "app/laboratory/register/login.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/other_file.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
@@ -50,10 +51,9 @@ void add_required(const VerifyOptions& options, const Trust& trust, RunEvidence&
   std::vector<IntegrityCheck>& checks = evidence.checks;
   if (options.demands("witnessed") && !evidence.is_witnessed)
     checks.push_back({"witnessed", false,
-                      trust.keys.empty()
-                          ? "no key is trusted; --require witnessed requires statements by one: "
-                            "--key PUBLIC.pem, or a register with keys"
-                          : evidence.witness_words});
+                      trust.keys.empty() ? "no key is trusted; --require witnessed requires statements by "
+                                           "one: --key PUBLIC.pem, or a register with keys"
+                                         : evidence.witness_words});
   if (options.demands("signed") && !evidence.is_signed)
     checks.push_back({"signed", false,
                       trust.keys.empty()
@@ -61,12 +61,12 @@ void add_required(const VerifyOptions& options, const Trust& trust, RunEvidence&
                             "PUBLIC.pem, or a register with keys"
                           : "there is no signature by a trusted key, which --require signed requires"});
   if (options.demands("timestamped") && !evidence.is_stamped)
-    checks.push_back({"timestamped", false,
-                      trust.authorities_pem.empty()
-                          ? "no authority is trusted; --require timestamped requires a time stamp by one: "
-                            "--authority CERTIFICATE.pem"
-                          : "there is no time stamp by a trusted authority, which --require timestamped "
-                            "requires"});
+    checks.push_back(
+        {"timestamped", false,
+         trust.authorities_pem.empty()
+             ? "no authority is trusted; --require timestamped requires a time stamp by one: --authority "
+               "CERTIFICATE.pem"
+             : "there is no time stamp by a trusted authority, which --require timestamped requires"});
 }
 
 /// Columns of RUN.results that no chain, hash or signature covers.
@@ -115,7 +115,15 @@ int verify(const VerifyOptions& options) {
       return verify_certificate(options, attachment_of_pdf(options.run_file), opened ? &*opened : nullptr);
   }
   const Trust trust = trust_of(options, opened ? &*opened : nullptr);
-  RunEvidence evidence = judge_run(options.run_file, trust, opened ? &*opened : nullptr);
+  lab::Register* const known = opened ? &*opened : nullptr;
+  const bool is_measurement = looks_like_measurement(options.run_file);
+  if (is_measurement && !options.pdf.empty())
+    throw std::invalid_argument(
+        fmt::format("--pdf: {} is a measurement of several runs, which has no certificate; required: the run "
+                    "that is certified",
+                    options.run_file));
+  RunEvidence evidence = is_measurement ? judge_measurement(options.run_file, trust, known)
+                                        : judge_run(options.run_file, trust, known);
   add_required(options, trust, evidence);
   if (!options.pdf.empty()) {
     std::vector<PersonKey> keys;
@@ -151,11 +159,12 @@ int verify(const VerifyOptions& options) {
 
 CLI::App* add_verify(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<VerifyOptions>();
-  CLI::App* command = parent.add_subcommand(
-      "verify",
-      "Check that a run and its results are consistent with their hashes and chains; or a certificate: its "
-      "signature, and with a register whether it holds");
-  command->add_option("RUN", options->run_file, "run file; or a certificate, XML or PDF")->required();
+  CLI::App* command =
+      parent.add_subcommand("verify",
+                            "Check that a run and its results are consistent with their hashes and chains; "
+                            "or a certificate: its signature, and with a register whether it holds");
+  command->add_option("RUN", options->run_file, "run file or measurement; or a certificate, XML or PDF")
+      ->required();
   command
       ->add_option("--require", options->require,
                    "witnessed, signed or timestamped, repeatable: fail without it")

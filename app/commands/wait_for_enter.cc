@@ -21,7 +21,8 @@ void wait_for_enter(const std::string& request, const std::string& when) {
   print_log("{}", request);
   std::array<char, 256> line{};
   for (;;) {
-    if (interrupt_token().stop_requested()) throw RunInterrupted("stopped by the operator " + when);
+    if (interrupt_token().stop_requested())
+      throw RunInterrupted(Message("stopped by the operator {when}", when));
     pollfd input{STDIN_FILENO, POLLIN, 0};
     const int ready = ::poll(&input, 1, 200);  // ms, between two checks for an interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;

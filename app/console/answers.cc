@@ -71,7 +71,7 @@ Answers::~Answers() {
   seal_.join();  // A certificate in progress is still issued.
 }
 
-HttpResponse Answers::refuse(const Asked& asked, http::status status, const std::string& why) {
+HttpResponse Answers::refuse(const Asked& asked, http::status status, const Message& why) {
   return console::refuse(common_.log_refusal, asked, status, why);
 }
 
@@ -79,16 +79,15 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
   const HttpRequest& request = asked.request;
   if (asked.access == Access::kWrongHost)
     return refuse(asked, http::status::misdirected_request,
-                  "This console is not known by that name; see `abcal serve --host`.");
+                  Message("This console is not known by that name; see `abcal serve --host`."));
   if (asked.access == Access::kWrongOrigin)
-    return refuse(asked, http::status::forbidden, "Another page may not use this console.");
+    return refuse(asked, http::status::forbidden, Message("Another page may not use this console."));
   if (logins_.is_proxied_unknown(request))
-    return refuse(
-        asked, http::status::forbidden,
-        "This came through a proxy, but this console is for this computer's accounts alone; see `abcal "
-        "serve --trusted-proxy`.");
+    return refuse(asked, http::status::forbidden,
+                  Message("This came through a proxy, but this console is for this computer's accounts "
+                          "alone; see `abcal serve --trusted-proxy`."));
   const std::optional<Target> target = parse_target(view(request.target()));
-  if (!target) return refuse(asked, http::status::bad_request, "The path cannot be read.");
+  if (!target) return refuse(asked, http::status::bad_request, Message("The path cannot be read."));
   const std::string& path = target->path;
   const bool reads = request.method() == http::verb::get || request.method() == http::verb::head;
   if (path == "/login" && request.method() == http::verb::post && !logins_.is_open())
@@ -97,7 +96,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
   if (path == "/logout" && request.method() == http::verb::post) return logins_.log_out(asked);
   if (path == "/approve" && request.method() == http::verb::post) return approve_certificate(asked, later);
   if (is_signed_certificate(request)) return take_signed_certificate(asked, target->words, later);
-  if (!reads) return refuse(asked, http::status::method_not_allowed, "Only GET is answered here.");
+  if (!reads) return refuse(asked, http::status::method_not_allowed, Message("Only GET is answered here."));
 
   if (auto asset = answer_with_asset(request, path == "/" ? "/index.html" : path)) return *std::move(asset);
   if (path == "/who") {
@@ -106,7 +105,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
   }
   if (path == "/start-form") {
     if (order_start_form(asked, later)) return {};
-    return refuse(asked, http::status::bad_request, "The fields of the form cannot be read.");
+    return refuse(asked, http::status::bad_request, Message("The fields of the form cannot be read."));
   }
   if (order_list_of_runs(asked, target->words, later) || order_readings(asked, target->words, later) ||
       order_of_library(target->words, later) || order_check_chart(target->words, later) ||
@@ -116,7 +115,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
     return {};
   }
   later = {};  // An unknown path orders nothing.
-  return refuse(asked, http::status::not_found, "There is no such page.");
+  return refuse(asked, http::status::not_found, Message("There is no such page."));
 }
 
 /// GET /start-form?steps=...&serial_number=...: the run that would be started. @return false: the fields

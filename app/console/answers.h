@@ -35,7 +35,7 @@ class Answers {
   static bool is_signed_certificate(const HttpRequest& request);
 
  private:
-  HttpResponse refuse(const Asked& asked, boost::beast::http::status status, const std::string& why);
+  HttpResponse refuse(const Asked& asked, boost::beast::http::status status, const Message& why);
   /// A run and one of its items, as named by a form or a path. Item "" gives 0: the run has one item.
   std::optional<ItemOfRun> find_item(const std::string& run, const std::string& item) const;
   /// The item in /runs/NAME/WHAT or /runs/NAME/items/K/WHAT. Nothing for other paths and unknown runs.

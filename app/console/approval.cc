@@ -9,6 +9,7 @@
 
 #include "app/formats/xml_query.h"
 #include "app/laboratory/issuing/issue_run.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
 
@@ -26,6 +27,7 @@ ApprovalJson certificates_of(const ItemOfRun& of, const ApprovalPlace& place, Cl
   if (!place.register_location.empty()) opened = lab::Register::open(place.register_location, now);
   for (const IssuedCertificate& issued : kept) {
     const auto status = opened ? opened->status_of(issued.number) : std::nullopt;
+    const Message words = status ? status->words() : Message();
     list.push_back({{"number", issued.number},
                     {"date", issued.date},
                     {"measured_by", issued.measured_by},
@@ -33,35 +35,35 @@ ApprovalJson certificates_of(const ItemOfRun& of, const ApprovalPlace& place, Cl
                     {"replaces", issued.replaces},
                     {"reason", issued.reason},
                     {"sha256", sha256_of(issued.xml)},
-                    {"status", status ? status->words() : ""},
+                    {"status", words.english()},
+                    {"messages", messages_json({words})},
                     {"holds", status && status->holds()}});
   }
   return list;
 }
 
 /// Why an item of a run cannot have a certificate; empty: it can.
-std::string why_not_item(int item, const StoredRun& stored) {
+Message why_not_item(int item, const StoredRun& stored) {
   const std::size_t count = stored.items.size();
   if (item == 0 && count > 1)
-    return fmt::format("The run has {} items, each with a certificate of its own: choose one of them.",
-                       count);
+    return Message("The run has {items} items, each with a certificate of its own: choose one of them.",
+                   count);
   const auto k = static_cast<std::size_t>(std::max(item, 1));
-  if (k > count)
-    return fmt::format("The run has {}, and no item {}.",
-                       count == 1 ? "one item" : fmt::format("{} items", count), item);
-  if (stored.items[k - 1].dropped_at) return fmt::format("Item {} was left out of the run.", item);
+  if (k > count) return {"The run has {items} items, and no item {item}.", count, item};
+  if (stored.items[k - 1].dropped_at) return Message("Item {item} was left out of the run.", item);
   return {};
 }
 
 /// Why nobody can have a certificate issued on this page; empty: it is possible.
-std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const ApprovalPlace& place) {
+Message why_not_here(const ItemOfRun& of, const StoredRun& stored, const ApprovalPlace& place) {
   if (place.register_location.empty())
-    return "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.";
+    return Message(
+        "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.");
   if (place.laboratory_file.empty())
-    return "The console knows no laboratory file; start it with `abcal serve --laboratory FILE`.";
+    return Message("The console knows no laboratory file; start it with `abcal serve --laboratory FILE`.");
   if (stored.state != RunState::kComplete || !RunFile::is_closed(of.run))
-    return "The run is not complete and closed.";
-  if (!has_experiments(stored.header.plan)) return "This is a levelling, no calibration.";
+    return Message("The run is not complete and closed.");
+  if (!has_experiments(stored.header.plan)) return Message("This is a levelling, no calibration.");
   return why_not_item(of.item, stored);
 }
 
@@ -97,12 +99,13 @@ class Approver {
 
 void require_current(const ApprovalForm& form) {
   if (sha256_of_file(form.of.run) != form.run_sha256)
-    throw StaleApproval("the run is not the one that was looked at; open its result again");
+    throw StaleApproval(Message("the run is not the one that was looked at; open its result again"));
   const std::vector<IssuedCertificate> issued = ResultsFile::certificates(form.of.run, form.of.item);
   const std::string last = issued.empty() ? std::string() : issued.back().number;
   if (last != form.replaces)
-    throw StaleApproval(fmt::format("certificate {} was issued for this run meanwhile; open its result again",
-                                    last.empty() ? "none" : last));
+    throw StaleApproval(
+        Message("certificate {number} was issued for this run meanwhile; open its result again",
+                last.empty() ? "none" : last));
 }
 
 /// The valid keys of a person that the register knows.
@@ -118,8 +121,8 @@ ApprovalJson keys_of(const std::string& person, const ApprovalPlace& place, Cloc
 
 StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place) {
   StoredRun stored = RunFile::load(form.of.run);
-  if (const std::string why = why_not_here(form.of, stored, place); !why.empty())
-    throw std::invalid_argument(why);
+  if (const Message why = why_not_here(form.of, stored, place); !why.empty())
+    throw Telling<std::invalid_argument>(why);
   require_current(form);
   return stored;
 }
@@ -158,11 +161,12 @@ ApprovalJson issued_json(const IssueOutcome& outcome, const std::string& approve
 ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
                            Clock::UtcTime now) {
   const StoredRun stored = RunFile::load(of.run);
-  const std::string why = why_not_here(of, stored, place);
+  const Message why = why_not_here(of, stored, place);
   return {{"run_sha256", why.empty() ? sha256_of_file(of.run) : ""},
           {"measured_by", describe(operators_of(stored))},
           {"person", visitor.who.name},
-          {"why_not", why},
+          {"why_not", why.english()},
+          {"messages", messages_json({why})},
           {"keys", why.empty() ? keys_of(visitor.who.name, place, now) : ApprovalJson::array()},
           {"certificates", certificates_of(of, place, now)}};
 }
@@ -171,7 +175,7 @@ ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, const
   const StoredRun stored = require_approvable(form, place);
   Approver approver(form, place, clock);
   const lab::LoggedIn who = approver.who();
-  if (const auto why = why_not_approve(who.person(), stored)) throw std::invalid_argument(*why);
+  if (const auto why = why_not_approve(who.person(), stored)) throw Telling<std::invalid_argument>(*why);
   Registered registered{lab::Register::open(place.register_location, clock.utc_now()), who};
   const IssueOutcome outcome = issue_run(issue_asked(form, place), &registered, clock);
   return issued_json(outcome, who.name(), registered.opened.facts().training);

@@ -27,9 +27,9 @@ struct ApprovalForm {
 };
 
 /// The run has changed since the form was opened, or another certificate was issued; what() states which.
-class StaleApproval : public std::runtime_error {
+class StaleApproval : public Telling<std::runtime_error> {
  public:
-  using std::runtime_error::runtime_error;
+  using Telling::Telling;
 };
 
 /// The data shown before an item of a run is approved: the hash of the run, its operators, the certificates

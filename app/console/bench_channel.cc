@@ -1,15 +1,8 @@
 #include "app/console/bench_channel.h"
 
-#include <fcntl.h>
-#include <fmt/format.h>
-#include <unistd.h>
-
 #include <boost/asio/buffer.hpp>
 #include <boost/asio/read_until.hpp>
 #include <boost/asio/write.hpp>
-#include <cerrno>
-#include <cstring>
-#include <stdexcept>
 #include <utility>
 
 namespace abcal::console {
@@ -19,20 +12,6 @@ namespace {
 constexpr std::size_t kLongestLine = 64 * 1024 * 1024;
 
 }  // namespace
-
-SocketName::SocketName(const std::filesystem::path& path) : name_(path.filename().string()) {
-  const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
-  folder_ = ::open(folder.c_str(), O_PATH | O_DIRECTORY | O_CLOEXEC);
-  if (folder_ < 0) throw std::runtime_error(fmt::format("{}: {}", folder.string(), std::strerror(errno)));
-}
-
-SocketName::~SocketName() {
-  ::close(folder_);
-}
-
-boost::asio::local::stream_protocol::endpoint SocketName::endpoint() const {
-  return {fmt::format("/proc/self/fd/{}/{}", folder_, name_)};
-}
 
 void BenchChannel::begin(std::function<void(std::string_view)> line, std::function<void()> end) {
   line_ = std::move(line);

@@ -1,13 +1,15 @@
 #pragma once
 
+#include <boost/asio/io_context.hpp>
 #include <boost/asio/local/stream_protocol.hpp>
 #include <cstddef>
 #include <deque>
-#include <filesystem>
 #include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
+
+#include "app/system/descriptor.h"
 
 namespace abcal::console {
 
@@ -26,29 +28,15 @@ constexpr char kAskSnapshot = 'A';
 constexpr char kClose = 'C';  ///< Stop what is in progress, halt the stage, and end.
 }  // namespace bench_line
 
-/// The name of a Unix socket. It may exceed the system's limit of length, as the socket is addressed through
-/// a descriptor of its folder.
-class SocketName {
- public:
-  /// @throws std::runtime_error if there is no such folder
-  explicit SocketName(const std::filesystem::path& path);
-  ~SocketName();
-  SocketName(const SocketName&) = delete;
-  SocketName& operator=(const SocketName&) = delete;
-
-  boost::asio::local::stream_protocol::endpoint endpoint() const;
-
- private:
-  int folder_ = -1;
-  std::string name_;
-};
-
-/// Lines over a connected socket, both ways. For the thread of its socket.
+/// Lines over a channel of bytes, both ways. For the thread of its socket.
 class BenchChannel : public std::enable_shared_from_this<BenchChannel> {
  public:
   using Socket = boost::asio::local::stream_protocol::socket;
 
   explicit BenchChannel(Socket socket) : socket_(std::move(socket)) {}
+  /// @param connected  by connect_to() with ChannelKind::kBytes
+  BenchChannel(boost::asio::io_context& io, Descriptor connected)
+      : socket_(io, Socket::protocol_type(), connected.release()) {}
 
   /// Reads until the end. `line` gets each line without its newline; `end` is called once, when the other
   /// side is gone.

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "app/document/json_text.h"
+#include "app/system/channel.h"
 #include "app/system/detached_process.h"
 #include "app/system/helper_program.h"
 #include "app/system/output.h"
@@ -50,29 +51,29 @@ void BenchLink::begin() {
 }
 
 void BenchLink::connect() {
-  const auto socket = std::make_shared<BenchChannel::Socket>(io_);
-  boost::system::error_code error;
+  Descriptor socket;
+  std::string why;
   try {
-    const SocketName name(options_.socket);
-    // A Unix socket connects at once or not at all.
-    socket->connect(name.endpoint(), error);
-  } catch (const std::runtime_error& no_folder) {
-    notify(BenchState::kGone, no_folder.what());
+    socket = connect_to(options_.socket, ChannelKind::kBytes);
+  } catch (const std::system_error& error) {
+    why = error.what();
+  }
+  if (socket.number() >= 0) return connected(std::move(socket));
+  if (!std::filesystem::is_directory(std::filesystem::absolute(options_.socket).parent_path())) {
+    notify(BenchState::kGone, Message::bare(why));
     return try_again(kRetryOfService);
   }
-  if (!error) return connected(std::move(*socket));
   if (!options_.start) {
-    notify(BenchState::kGone, fmt::format("No process holds the bench ({}: {}): start its service.",
-                                          options_.socket.string(), error.message()));
+    notify(BenchState::kGone, Message("No process holds the bench ({why}): start its service.", why));
     return try_again(kRetryOfService);
   }
   if (!std::exchange(started_, true)) {
     begun_ = clock_.now();
     start_process();
   } else if (clock_.now() - begun_ > kLongestStart) {
-    notify(BenchState::kGone,
-           "The process that holds the bench cannot be started; see where this console was "
-           "started.");
+    notify(
+        BenchState::kGone,
+        Message("The process that holds the bench cannot be started; see where this console was started."));
     started_ = false;
   }
   try_again(kRetry);
@@ -100,10 +101,10 @@ void BenchLink::try_again(std::chrono::milliseconds after) {
   });
 }
 
-void BenchLink::connected(BenchChannel::Socket socket) {
+void BenchLink::connected(Descriptor socket) {
   started_ = false;
   heard_ = clock_.now();
-  channel_ = std::make_shared<BenchChannel>(std::move(socket));
+  channel_ = std::make_shared<BenchChannel>(io_, std::move(socket));
   channel_->begin([this](std::string_view line) { received(line); }, [this] { lost(); });
   notify(BenchState::kOn, {});
 }
@@ -130,10 +131,8 @@ void BenchLink::received(std::string_view line) {
 void BenchLink::lost() {
   channel_.reset();
   if (leaving_) return listener_.end(false);
-  notify(
-      BenchState::kGone,
-      "The process that held the bench has died. Its guard halts the stage, if it had moved it; the run can "
-      "be resumed.");
+  notify(BenchState::kGone, Message("The process that held the bench has died. Its guard halts the stage, if "
+                                    "it had moved it; the run can be resumed."));
   try_again(kRetry);
 }
 
@@ -146,12 +145,12 @@ void BenchLink::watch() {
     if (process_ > 0 && ::waitpid(process_, nullptr, WNOHANG) != 0) process_ = -1;
     if (channel_ && state_ == BenchState::kOn && clock_.now() - heard_ > kSilentBench)
       notify(BenchState::kSilent,
-             "The process that holds the bench does not answer: nothing is known of the stage.");
+             Message("The process that holds the bench does not answer: nothing is known of the stage."));
     watch();
   });
 }
 
-void BenchLink::notify(BenchState state, const std::string& words) {
+void BenchLink::notify(BenchState state, const Message& words) {
   if (state_ == state && state != BenchState::kOn) return;
   state_ = state;
   listener_.state(state, words);

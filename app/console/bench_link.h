@@ -37,7 +37,7 @@ class BenchLink {
     std::function<void(std::string_view json)> message;   ///< For every page.
     std::function<void(std::string_view json)> snapshot;  ///< A requested snapshot.
     std::function<void(const nlohmann::json& reply)> reply;
-    std::function<void(BenchState state, const std::string& words)> state;
+    std::function<void(BenchState state, const Message& words)> state;
     std::function<void(bool was_on)> end;  ///< The bench was closed.
   };
   struct Options {
@@ -65,13 +65,13 @@ class BenchLink {
 
  private:
   void connect();
-  void connected(BenchChannel::Socket socket);
+  void connected(Descriptor socket);
   void received(std::string_view line);
   void lost();
   void watch();
   void try_again(std::chrono::milliseconds after);
   void start_process();
-  void notify(BenchState state, const std::string& words);
+  void notify(BenchState state, const Message& words);
 
   boost::asio::io_context& io_;
   Options options_;

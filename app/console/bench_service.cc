@@ -3,7 +3,6 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/file.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cstdio>
@@ -28,8 +27,10 @@
 #include "app/console/queue_desk.h"
 #include "app/console/run_library.h"
 #include "app/document/json_text.h"
+#include "app/system/channel.h"
 #include "app/system/real_clock.h"
 #include "app/system/version.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -54,6 +55,12 @@ Asker asker_of(const Json& json) {
   by.who = {json.value("name", ""), json.value("register", "")};
   by.login = json.value("login", "");
   return by;
+}
+
+/// States the reason of a refusal in a reply.
+void refuse(Json& reply, const Message& why) {
+  reply["why"] = why.english();
+  reply["message"] = message_json(why);
 }
 
 /// The lock of one bench, held as long as this process lives, however it ends.
@@ -142,14 +149,7 @@ BenchService::Impl::Impl(Options the_options)
            clock) {
   std::error_code ignored;
   std::filesystem::remove(options.socket, ignored);  // Left by a killed process: the lock is ours.
-  const SocketName name(options.socket);
-  acceptor.open();
-  const mode_t before = ::umask(0177);  // For this user alone.
-  boost::system::error_code error;
-  acceptor.bind(name.endpoint(), error);
-  ::umask(before);
-  if (error) throw std::runtime_error(fmt::format("{}: {}", options.socket.string(), error.message()));
-  acceptor.listen();
+  acceptor.assign(stream_protocol(), listen_at(options.socket, ChannelKind::kBytes, kForThisUser).release());
   live.offer(find_interrupted_run(options.bench.runs));
   session = std::make_unique<Session>(options.bench, [this](Event event) { pass_on(std::move(event)); });
   desk = std::make_unique<QueueDesk>(
@@ -208,12 +208,11 @@ void BenchService::Impl::receive(Console& console, std::string_view line) {
     const Json json = Json::parse(line.substr(1));
     reply["id"] = json.at("id");
     const Request request = read_request(json.at("request"));
-    if (const Session::Refusal refusal = carry_out(asker_of(json), request.command))
-      reply["why"] = *refusal;
-    else
-      reply["ok"] = true;
+    const Session::Refusal refusal = carry_out(asker_of(json), request.command);
+    reply["ok"] = !refusal;
+    if (refusal) refuse(reply, *refusal);
   } catch (const std::exception& error) {
-    reply["why"] = error.what();
+    refuse(reply, message_of(error));
   }
   console.channel->send(bench_line::kReply, json_text(reply));
 }
@@ -231,7 +230,7 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
     Session::Refusal operator()(const Stop&) const { return impl.session->stop(by); }
     Session::Refusal operator()(const ResumeRun& resume) const {
       const auto path = RunLibrary::find_in(impl.options.bench.runs, resume.run);
-      if (!path) return "there is no such run in the run folder";
+      if (!path) return Message("there is no such run in the run folder");
       return impl.session->resume({path->string(), resume.without_missing_items}, by);
     }
     Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog, by); }
@@ -239,7 +238,7 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }
     Session::Refusal operator()(const Acknowledge& seen) const {
       const auto path = RunLibrary::find_in(impl.options.bench.runs, seen.run);
-      if (!path) return "there is no such run in the run folder";
+      if (!path) return Message("there is no such run in the run folder");
       return impl.session->acknowledge(*path, by);
     }
     Session::Refusal operator()(const Level&) const { return impl.session->level(by); }

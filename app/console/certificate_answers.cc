@@ -14,8 +14,8 @@ namespace {
 
 namespace http = boost::beast::http;
 
-constexpr const char* kNoSuchRun = "There is no such run, or no such item.";
-constexpr const char* kLogInAsApprover =
+constexpr Term kNoSuchRun = "There is no such run, or no such item.";
+constexpr Term kLogInAsApprover =
     "Log in on this page as the person who approves: with a key nobody approves for another.";
 
 /// The data of a request that outlive it: the request is gone when the certificate is made.
@@ -25,14 +25,14 @@ struct Attempt {
   std::string name, run;
   nlohmann::ordered_json answer;
   http::status status = http::status::ok;
-  std::string problem;
+  Message problem;
   Clock::Duration wait{};  ///< After too many failures; nothing was tried then.
   bool wrong_password = false;
 };
 
 /// Stores the result of `make`, or the reason of its failure.
 void carry_out_attempt(Attempt& attempt, const std::function<nlohmann::ordered_json()>& make,
-                       const std::string& not_logged_in) {
+                       const Message& not_logged_in) {
   attempt.status = http::status::unprocessable_entity;
   try {
     attempt.answer = make();
@@ -42,9 +42,9 @@ void carry_out_attempt(Attempt& attempt, const std::function<nlohmann::ordered_j
     attempt.problem = not_logged_in;
   } catch (const StaleApproval& stale) {
     attempt.status = http::status::conflict;
-    attempt.problem = stale.what();
+    attempt.problem = stale.message();
   } catch (const std::exception& error) {
-    attempt.problem = error.what();
+    attempt.problem = message_of(error);
   }
 }
 
@@ -79,7 +79,7 @@ bool Answers::is_signed_certificate(const HttpRequest& request) {
 /// `by_key` the certificate to be signed is made for the person logged in.
 HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
-  if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
+  if (!form) return refuse(asked, http::status::bad_request, Message("The form cannot be read."));
   const auto field = [&](const char* name) { return field_of(*form, name); };
   const auto of = find_item(field("run"), field("item"));
   if (!of) return refuse(asked, http::status::not_found, kNoSuchRun);
@@ -93,12 +93,12 @@ HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
   try {
     require_plain_text("reason", filled.reason, kLongestNote);
   } catch (const RequestError& error) {
-    return refuse(asked, http::status::bad_request, error.what());
+    return refuse(asked, http::status::bad_request, message_of(error));
   }
   if (form->contains("by_key")) return prepare_certificate(asked, filled, later);
   if (common_.options.register_location.empty() || filled.approver.empty() || filled.password.empty())
     return refuse(asked, http::status::bad_request,
-                  "Required: a register, and name and password of a person who may approve.");
+                  Message("Required: a register, and name and password of a person who may approve."));
   const auto attempt = attempt_of(asked, "/approve", filled.approver, *of);
   const auto finish = [this, attempt]() -> HttpResponse {
     const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
@@ -113,7 +113,7 @@ HttpResponse Answers::approve_certificate(const Asked& asked, Slow& later) {
     if (attempt->wait > Clock::Duration::zero()) return Slow::Finish(finish);
     carry_out_attempt(
         *attempt, [&] { return approve(filled, approval_place(), common_.clock); },
-        "Name or password is not right.");
+        Message("Name or password is not right."));
     if (attempt->wrong_password) logins_.failed(attempt->name, attempt->peer);
     if (attempt->problem.empty()) logins_.succeeded(attempt->name, attempt->peer);
     return Slow::Finish(finish);

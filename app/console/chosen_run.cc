@@ -1,7 +1,5 @@
 #include "app/console/chosen_run.h"
 
-#include <fmt/format.h>
-
 #include <utility>
 
 #include "app/bench_file/instrument_ports.h"
@@ -27,10 +25,10 @@ void choose_item(ChosenRun& run, const ItemChoice& chosen) {
   if (std::string& required = first.accelerometer.serial_number; is_simulated_item(first.accelerometer))
     required = chosen.serial_number;
   else if (before != chosen.serial_number && !required.empty() && required != chosen.serial_number)
-    run.warnings.push_back(fmt::format(
-        "The bench file requires an accelerometer of serial number {}, which is another item: not "
-        "required of this one.",
-        std::exchange(required, "")));
+    run.warnings.push_back(
+        Message("The bench file requires an accelerometer of serial number {serial}, which is another item: "
+                "not required of this one.",
+                std::exchange(required, "")));
   item.customer_number = chosen.customer_number;
   if (model == chosen.model) return;
   item.range = item.filter = item.firmware = item.supply = "";
@@ -38,10 +36,10 @@ void choose_item(ChosenRun& run, const ItemChoice& chosen) {
   item.torque_newton_metre.reset();
   first.expected.nominal_sensitivity.reset();
   if (!model.empty())
-    run.warnings.push_back(fmt::format(
-        "The bench file describes model {}, the item is {}: its range, filter, firmware, supply, "
+    run.warnings.push_back(Message(
+        "The bench file describes model {stated}, the item is {item}: its range, filter, firmware, supply, "
         "nominal sensitivity and how it is fastened are not stated. Check what is set on the instrument.",
-        model, chosen.model.empty() ? "of no stated model" : chosen.model));
+        model, chosen.model.empty() ? Message("of no stated model") : Message("{model}", chosen.model)));
 }
 
 }  // namespace

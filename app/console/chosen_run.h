@@ -11,7 +11,7 @@ namespace abcal::console {
 /// A bench file in which a person's choices for one run replace its own values.
 struct ChosenRun {
   BenchConfig config;
-  std::vector<std::string> warnings;  ///< To be shown to a person before the start.
+  std::vector<Message> warnings;  ///< To be shown to a person before the start.
 };
 
 /// Applies a person's choices. If they name another model, the range, filter, firmware, supply and nominal

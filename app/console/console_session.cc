@@ -22,6 +22,7 @@
 #include "app/system/read_file.h"
 #include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 
@@ -31,8 +32,7 @@ namespace {
 /// After this time without a jog the ports are released for other programs.
 constexpr std::chrono::seconds kKeepAfterJog{60};
 
-constexpr const char* kBusy =
-    "another activity is in progress at the bench; stop it first, or wait for its end";
+constexpr Term kBusy = "another activity is in progress at the bench; stop it first, or wait for its end";
 
 /// "BENCH-20260301T120000Z.run"; "BENCH-...Z-2.run" for a further run that begins within the same second.
 std::string free_name(const Session::Options& options, const std::string& extension) {
@@ -95,23 +95,25 @@ void Session::work(const std::stop_token& end) {
   }
 }
 
-void Session::log(std::string text) {
+void Session::log(Message text) {
   notify_(LogLine{LogLine::Grade::kInfo, std::move(text)});
 }
 
 void Session::carry_out(const std::function<void()>& job) {
-  const auto problem = [this](const char* text) { notify_(LogLine{LogLine::Grade::kProblem, text}); };
+  const auto problem = [this](const std::exception& error) {
+    notify_(LogLine{LogLine::Grade::kProblem, message_of(error)});
+  };
   try {
-    if (stop_.stop_requested()) throw RunInterrupted("stopped before it began");
+    if (stop_.stop_requested()) throw RunInterrupted(Message("stopped before it began"));
     job();
   } catch (const RunInterrupted& error) {
-    notify_(LogLine{LogLine::Grade::kWarning, error.what()});
+    notify_(LogLine{LogLine::Grade::kWarning, error.message()});
   } catch (const InstrumentError& error) {
-    problem(error.what());
-    notify_(FaultSeen{error.instrument(), std::string(to_string(error.fault())), error.what()});
+    problem(error);
+    notify_(FaultSeen{error.instrument(), std::string(to_string(error.fault())), error.message()});
     jog_bench_.reset();  // After a fault the instruments are opened and asked again.
   } catch (const std::exception& error) {
-    problem(error.what());
+    problem(error);
     jog_bench_.reset();
   }
   std::shared_ptr<RunSession> ended;
@@ -146,7 +148,7 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job, co
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kIdle) return kBusy;
-    if (closing_) return "the console is being closed";
+    if (closing_) return Message("the console is being closed");
     activity_ = activity;
     stop_ = std::stop_source();
     if (activity == Activity::kRunning) {
@@ -181,15 +183,15 @@ Session::Refusal Session::stale(const RunChoice& choice) const {
   if (!choice.form.empty()) {
     const std::lock_guard lock(mutex_);
     if (std::find(forms_.begin(), forms_.end(), choice.form) != forms_.end())
-      return "this form has started a run already; open the form again";
+      return Message("this form has started a run already; open the form again");
   }
   if (choice.bench_sha256.empty()) return std::nullopt;
   try {
     if (sha256_of(read_file(options_.bench_file)) == choice.bench_sha256) return std::nullopt;
   } catch (const std::invalid_argument& unreadable) {
-    return unreadable.what();
+    return message_of(unreadable);
   }
-  return "the bench file has changed since the form was opened; open the form again";
+  return Message("the bench file has changed since the form was opened; open the form again");
 }
 
 Session::Refusal Session::start(const RunChoice& choice, const Asker& by) {
@@ -230,7 +232,7 @@ Session::Refusal Session::jog(const Jog& jog, const Asker& by) {
 
 Session::Refusal Session::keep_turning(const KeepTurning& sign) {
   const std::lock_guard lock(mutex_);
-  if (activity_ != Activity::kJogging || !button_) return "no button is held for a jog";
+  if (activity_ != Activity::kJogging || !button_) return Message("no button is held for a jog");
   button_->hear(sign);
   return std::nullopt;
 }
@@ -242,11 +244,11 @@ void Session::record(const char* kind, const Asker& by, RunOperator operates) {
 Session::Refusal Session::hold(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ != Activity::kRunning || !run_) return "no run is in progress";
+    if (activity_ != Activity::kRunning || !run_) return Message("no run is in progress");
     run_->hold();
     record("hold asked for", by);
   }
-  log("Hold: the stage will stand still after this angle.");
+  log(Message("Hold: the stage will stand still after this angle."));
   notify_activity();
   return std::nullopt;
 }
@@ -254,11 +256,11 @@ Session::Refusal Session::hold(const Asker& by) {
 Session::Refusal Session::continue_run(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ != Activity::kRunning || !run_ || !run_->is_hold_wanted()) return "no run is held";
+    if (activity_ != Activity::kRunning || !run_ || !run_->is_hold_wanted()) return Message("no run is held");
     run_->continue_run();
     record("continue asked for", by);
   }
-  log("Continue: the stage moves on.");
+  log(Message("Continue: the stage moves on."));
   notify_activity();
   return std::nullopt;
 }
@@ -271,23 +273,24 @@ void Session::control_taken(const Asker& by) {
 Session::Refusal Session::stop(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ == Activity::kIdle) return "nothing is in progress that could be stopped";
-    if (activity_ == Activity::kAnalysing) return "the stage is at rest; the run is being analysed";
+    if (activity_ == Activity::kIdle) return Message("nothing is in progress that could be stopped");
+    if (activity_ == Activity::kAnalysing) return Message("the stage is at rest; the run is being analysed");
     if (stop_.stop_requested()) return std::nullopt;
     record("stop asked for", by);
     // In a thread of its own, as the request sends the halt to the stage and waits for its answer.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
   }
   notify_(LogLine{LogLine::Grade::kWarning,
-                  fmt::format("Stop, asked for by {}: the halt is sent to the stage.", by.for_people())});
+                  Message("Stop, asked for by {who}: the halt is sent to the stage.", by.for_people())});
   return std::nullopt;
 }
 
 Session::Refusal Session::note(std::string text, const Asker& by) {
   const std::lock_guard lock(mutex_);
   if (activity_ != Activity::kRunning || !run_)
-    return "no run is in progress: a note goes into the event log of a run";
-  if (!run_->add_note({std::move(text), by.for_record()})) return "many notes wait to be stored already";
+    return Message("no run is in progress: a note goes into the event log of a run");
+  if (!run_->add_note({std::move(text), by.for_record()}))
+    return Message("many notes wait to be stored already");
   return std::nullopt;
 }
 
@@ -296,9 +299,10 @@ Session::Refusal Session::acknowledge(const std::filesystem::path& run, const As
   try {
     acknowledge_interrupted_run(run, format_utc(RealClock().utc_now()), by.for_record());
   } catch (const RunFileError& error) {
-    return error.what();
+    return message_of(error);
   }
-  log(fmt::format("The interruption of {} is acknowledged by {}.", run.filename().string(), by.for_people()));
+  log(Message("The interruption of {run} is acknowledged by {who}.", run.filename().string(),
+              by.for_people()));
   if (auto now = find_interrupted_run(options_.runs)) notify_(InterruptionAcknowledged{*std::move(now)});
   return std::nullopt;
 }
@@ -343,10 +347,11 @@ void Session::do_check(bool with_motion, const Asker& by) {
   check.utc = format_utc(RealClock().utc_now());
   check.by = by.for_people();
   check.with_motion = with_motion;
-  log(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", check.good, check.warnings,
-                  check.problems));
+  log(Message("The bench is checked: {good} good, {warnings} warnings, {problems} problems.", check.good,
+              check.warnings, check.problems));
   if (!keep_check(options_.runs, options_.bench_file, check))
-    notify_(LogLine{LogLine::Grade::kWarning, "The outcome of the check cannot be kept in the run folder."});
+    notify_(LogLine{LogLine::Grade::kWarning,
+                    Message("The outcome of the check cannot be kept in the run folder.")});
   notify_(ChecksSeen{std::move(findings)});
 }
 
@@ -354,16 +359,17 @@ void Session::do_check_item(std::int64_t entry, const RunChoice& choice, const I
   const BenchConfig config = choose_run(read_bench(options_.bench_file, register_records()), choice).config;
   Bench bench = open(config, "a check of an item");
   ItemCheck check = check_mounted_item(bench, config, before, stop_.get_token());
-  log(fmt::format("The item is checked: {}.",
-                  check.passed() ? "nothing speaks against starting" : "there is a problem"));
+  log(Message("The item is checked: {outcome}.",
+              check.passed() ? Message("nothing speaks against starting") : Message("there is a problem")));
   notify_(ItemChecked{entry, std::move(check)});
 }
 
 void Session::do_start(const std::string& name, const RunChoice& choice) {
   ChosenRun chosen = choose_run(read_bench(options_.bench_file, register_records()), choice);
   const BenchConfig& config = chosen.config;
-  for (std::string& warning : chosen.warnings) notify_(LogLine{LogLine::Grade::kWarning, std::move(warning)});
-  for (const std::string& warning : config.warnings) notify_(LogLine{LogLine::Grade::kWarning, warning});
+  for (Message& warning : chosen.warnings) notify_(LogLine{LogLine::Grade::kWarning, std::move(warning)});
+  for (const std::string& warning : config.warnings)
+    notify_(LogLine{LogLine::Grade::kWarning, Message::bare(warning)});
   run_->start({config, (options_.runs / name).string(), false, {}, choice.without_missing_items});
 }
 
@@ -373,23 +379,32 @@ void Session::do_level(const std::filesystem::path& run) {
   const std::string unit = run_->identify_instruments(request).first().accelerometer.output_unit;
   const auto sensitivity = nominal_sensitivity(unit, config.g_loc.value_mps2);
   if (!sensitivity)
-    throw std::invalid_argument(fmt::format(
-        "the output is in {}; required on this page: g or m/s2. Level it by `abcal level --sensitivity RUN`",
-        unit));
+    throw Telling<std::invalid_argument>(
+        Message("the output is in {unit}; required on this page: g or m/s2. Level it by `abcal level "
+                "--sensitivity RUN`",
+                unit));
   const RunOutcome outcome = run_->level(request);
   const Levelling levelling = evaluate_levelling(outcome.stored(), *sensitivity);
   const LevelFile level = level_file_of(levelling, outcome.stored());
   const std::filesystem::path file = std::filesystem::path(run).replace_extension(".json");
   write_level_file(file, level);
   const std::string stored = file.filename().string();
-  const auto words = [](const char* name, const Quantity& q) {
-    return fmt::format("{} {} {}", name, value_with_uncertainty(q), q.unit);
+  const auto words = [](const Message& name, const Quantity& q) {
+    return Message("{name} {value} {unit}", name, value_with_uncertainty(q), q.unit);
   };
-  const std::string found = fmt::format("{}; {}; {}; {}", words("tilt of the Z axis", levelling.tilt.delta_z),
-                                        words("Zx", levelling.tilt.zx), words("Zy", levelling.tilt.zy),
-                                        words("zero of X", levelling.x_zero.error));
-  log(fmt::format("Levelled: {}. Stored in {}.", found, stored));
-  notify_(StateSeen{"levelling", {{"file", stored}, {"levelling", level_json(level)}, {"words", found}}});
+  const std::vector<Message> found = {words(Message("tilt of the Z axis"), levelling.tilt.delta_z),
+                                      words(Message("{zx}", "Zx"), levelling.tilt.zx),
+                                      words(Message("{zy}", "Zy"), levelling.tilt.zy),
+                                      words(Message("zero of X"), levelling.x_zero.error)};
+  log(Message("Levelled: {found}. Stored in {file}.", found, stored));
+  nlohmann::ordered_json lines = nlohmann::ordered_json::array();
+  for (const Message& line : found) lines.push_back(line.english());
+  notify_(StateSeen{"levelling",
+                    {{"file", stored},
+                     {"levelling", level_json(level)},
+                     {"words", in_sequence(found).english()},
+                     {"lines", std::move(lines)},
+                     {"messages", messages_json(found)}}});
 }
 
 void Session::do_probe() {
@@ -404,7 +419,7 @@ void Session::do_probe() {
     json["found"] = found == probed.end() ? "" : in_words(*found);
     list.push_back(std::move(json));
   }
-  log(fmt::format("{} ports are asked, of {}.", probed.size(), ports.size()));
+  log(Message("{asked} ports are asked, of {all}.", probed.size(), ports.size()));
   notify_(StateSeen{"ports", {{"ports", std::move(list)}}});
 }
 
@@ -424,8 +439,8 @@ void Session::do_jog(const Jog& jog, const Asker& by, HeldButton* button) {
   if (!bench.simulated_time) halt_when_let_go.emplace(let_go, [&] { bench.stage->halt(); });
   const Angle angle =
       turn_axis(jog, *bench.stage, *bench.clock, jog_bench_->config.protocol, {stop_.get_token(), let_go});
-  log(fmt::format("Axis {} is at {:.4f} degrees (encoder), turned by {}.", to_string(jog.axis), angle.deg(),
-                  by.for_people()));
+  log(Message("Axis {axis} is at {angle:.4f} degrees (encoder), turned by {who}.", to_string(jog.axis),
+              angle.deg(), by.for_people()));
 }
 
 }  // namespace abcal::console

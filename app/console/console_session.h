@@ -32,7 +32,7 @@ class Session {
     std::filesystem::path runs;        ///< Folder of the run files.
     double pace = 1.0;                 ///< If everything is simulated: simulated time over real time.
   };
-  using Refusal = std::optional<std::string>;
+  using Refusal = std::optional<Message>;
 
   /// `notify` is called from the measuring thread and must return at once.
   Session(Options options, std::function<void(Event)> notify);
@@ -77,7 +77,7 @@ class Session {
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
   void notify_activity();
-  void log(std::string text);  ///< For the pages.
+  void log(Message text);  ///< For the pages.
   /// Passes an event of a run session on to the pages.
   void show(SessionEvent event);
 

@@ -9,9 +9,13 @@
 #include <iterator>
 #include <utility>
 
+#include "app/bench_file/bench_records.h"
 #include "app/console/bench_service.h"
 #include "app/document/json_text.h"
+#include "app/laboratory/register/register_lookup.h"
+#include "app/measure/bench/make_bench.h"
 #include "app/system/output.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -25,14 +29,29 @@ constexpr std::chrono::seconds kSilent{3};
 /// The process that holds the bench has this time to confirm a halt; then the guard is asked directly.
 constexpr std::chrono::milliseconds kPatienceWithBench{400};
 
+constexpr Term kNobodyHalts =
+    "no guard answers that could halt the stage, and it is not confirmed at rest: stop it by its own switch";
+
+/// The bench in the words of the guards' log; empty: its file cannot be read now.
+std::string bench_in_log(const std::filesystem::path& bench_file) {
+  try {
+    return bench_in_words(read_bench(bench_file, register_records()));
+  } catch (const std::exception&) {  // Who begins an activity is told.
+    return {};
+  }
+}
+
 SharedText shared(std::string text) {
   return std::make_shared<const std::string>(std::move(text));
 }
 
 /// @param why  the reason of a refusal; empty: the request was accepted
-std::string reply_to(std::uint64_t id, const std::string& why) {
+std::string reply_to(std::uint64_t id, const Message& why) {
   Json reply = {{"type", "reply"}, {"id", id}, {"ok", why.empty()}};
-  if (!why.empty()) reply["why"] = why;
+  if (!why.empty()) {
+    reply["why"] = why.english();
+    reply["messages"] = messages_json({why});
+  }
   return json_text(reply);
 }
 
@@ -43,16 +62,17 @@ Control::Control(ServerCommon& common, Session::Options bench) : common_(common)
   listener.message = [this](std::string_view json) { broadcast(std::string(json)); };
   listener.snapshot = [this](std::string_view json) { receive_snapshot(json); };
   listener.reply = [this](const Json& reply) { receive_reply(reply); };
-  listener.state = [this](BenchState state, const std::string& words) { receive_state(state, words); };
+  listener.state = [this](BenchState state, const Message& words) { receive_state(state, words); };
   listener.end = [this](bool was_on) { note_end(was_on); };
   const bool is_service = !common.options.bench_socket.empty();
   const std::filesystem::path socket = is_service ? common.options.bench_socket : default_bench_socket(bench);
-  bench_ = std::make_unique<BenchLink>(common.io, BenchLink::Options{std::move(bench), socket, !is_service},
-                                       std::move(listener));
-  guard_watch_ =
-      std::make_unique<GuardWatch>(socket.string() + ".lock", [this](const GuardWatch::Known& known) {
+  guard_watch_ = std::make_unique<GuardWatch>(
+      socket.string() + ".lock", [file = bench.bench_file] { return bench_in_log(file); },
+      [this](const GuardWatch::Known& known) {
         boost::asio::post(common_.io, [this, known] { receive_guard(known); });
       });
+  bench_ = std::make_unique<BenchLink>(common.io, BenchLink::Options{std::move(bench), socket, !is_service},
+                                       std::move(listener));
 }
 
 /// The guards of the stage know more of an axis, or less.
@@ -72,7 +92,7 @@ void Control::confirm_stop() {
                        {"since", format_utc(common_.clock.utc_now())}}));
   for (auto passed = passed_on_.begin(); passed != passed_on_.end();) {
     const std::shared_ptr<Page> page = passed->second.is_stop ? passed->second.page.lock() : nullptr;
-    if (page) page->reply(reply_to(passed->second.id, ""));
+    if (page) page->reply(reply_to(passed->second.id, {}));
     passed = passed->second.is_stop ? passed_on_.erase(passed) : std::next(passed);
   }
 }
@@ -96,11 +116,14 @@ void Control::receive_snapshot(std::string_view json) {
 }
 
 std::string Control::bench_message() const {
-  return json_text({{"type", "bench"}, {"state", to_string(bench_state_)}, {"words", bench_words_}});
+  return json_text({{"type", "bench"},
+                    {"state", to_string(bench_state_)},
+                    {"words", bench_words_.english()},
+                    {"messages", messages_json({bench_words_})}});
 }
 
 /// The process that holds the bench has started or ended.
-void Control::receive_state(BenchState state, const std::string& words) {
+void Control::receive_state(BenchState state, const Message& words) {
   bench_state_ = state;
   bench_words_ = words;
   const SharedText text = shared(bench_message());
@@ -108,8 +131,8 @@ void Control::receive_state(BenchState state, const std::string& words) {
   if (state == BenchState::kGone) {
     for (const auto& [number, lost] : std::exchange(passed_on_, {})) {
       if (const std::shared_ptr<Page> page = lost.page.lock())
-        page->reply(
-            json_text({{"type", "reply"}, {"id", lost.id}, {"ok", false}, {"lost", true}, {"why", words}}));
+        page->reply(json_text(
+            {{"type", "reply"}, {"id", lost.id}, {"ok", false}, {"lost", true}, {"why", words.english()}}));
     }
   }
   if (state != BenchState::kOn) return;
@@ -125,11 +148,15 @@ void Control::receive_reply(const Json& reply) {
   passed_on_.erase(found);
   const std::shared_ptr<Page> page = answered.page.lock();
   if (!page) return;
-  std::string why = reply.at("ok").get<bool>() ? "" : reply.at("why").get<std::string>();
-  // The process that holds the bench has nothing to stop, but its guard has.
-  if (answered.is_stop && !guard_.is_at_rest) why.clear();
+  Message why;
+  if (!reply.at("ok").get<bool>())
+    why = reply.contains("message") ? message_from_json(reply.at("message"))
+                                    : Message::bare(reply.at("why").get<std::string>());
+  // The process that holds the bench has nothing to stop, but its guard may have.
+  if (answered.is_stop && !why.empty() && !guard_.is_at_rest)
+    why = guard_.has_guard ? Message() : Message(kNobodyHalts);
   if (answered.is_stop && guard_.is_at_rest) stop_asked_at_.reset();
-  if (!why.empty()) common_.log_refusal(page->peer(), answered.text, why);
+  if (!why.empty()) common_.log_refusal(page->peer(), answered.text, why.english());
   page->reply(reply_to(answered.id, why));
 }
 
@@ -203,44 +230,44 @@ void Control::close_pages(const std::vector<std::string>& logins) {
 void Control::receive(Page& page, std::string_view text) {
   page.heard = common_.clock.now();
   std::uint64_t id = 0;
-  std::string why;
+  Message why;
   try {
     const Request request = parse_request(text);
     if (std::holds_alternative<Beat>(request.command)) return;
     id = static_cast<std::uint64_t>(request.id);
-    std::optional<std::string> refusal = carry_out(page, request, text);
+    Session::Refusal refusal = carry_out(page, request, text);
     if (!refusal) return;
     why = *std::move(refusal);
   } catch (const RequestError& error) {
     id = error.id();
-    why = error.what();
+    why = message_of(error);
   }
-  if (!why.empty()) common_.log_refusal(page.peer(), text, why);
+  if (!why.empty()) common_.log_refusal(page.peer(), text, why.english());
   page.reply(reply_to(id, why));
 }
 
-std::optional<std::string> Control::carry_out(Page& page, const Request& request, std::string_view text) {
+Session::Refusal Control::carry_out(Page& page, const Request& request, std::string_view text) {
   if (const auto* take = std::get_if<TakeControl>(&request.command))
-    return take_control(page, *take).value_or("");
-  if (std::holds_alternative<AskControl>(request.command)) return ask_control(page).value_or("");
+    return take_control(page, *take).value_or(Message());
+  if (std::holds_alternative<AskControl>(request.command)) return ask_control(page).value_or(Message());
   // Anybody who sees that something goes wrong may stop it, with control or without.
   if (controller_ != &page && !std::holds_alternative<Stop>(request.command))
-    return "this page only watches; take control first";
+    return Message("this page only watches; take control first");
   if (std::holds_alternative<ReleaseControl>(request.command)) {
     give_control(nullptr);
-    return "";
+    return Message();
   }
   if (const auto* answer = std::get_if<AnswerControl>(&request.command))
-    return answer_control(*answer).value_or("");
+    return answer_control(*answer).value_or(Message());
   const bool is_stop = std::holds_alternative<Stop>(request.command);
   if (is_stop) {
     stop_asked_at_ = common_.clock.now();
     const bool answers = bench_->is_on() && bench_state_ == BenchState::kOn;
     guard_watch_->stop(page.asker().for_people(),
                        answers ? kPatienceWithBench : std::chrono::milliseconds(0));
-    if (!bench_->is_on() && !guard_.is_at_rest) return "";
+    if (!bench_->is_on() && !guard_.is_at_rest) return guard_.has_guard ? Message() : Message(kNobodyHalts);
   }
-  if (!bench_->is_on()) return "the process that holds the bench is not there";
+  if (!bench_->is_on()) return Message("the process that holds the bench is not there");
   if (std::holds_alternative<KeepTurning>(request.command)) {
     constexpr std::uint64_t kUnanswered = 0;
     bench_->request(kUnanswered, page.asker(), request);
@@ -283,16 +310,19 @@ void Control::give_control(Page* page) {
 /// Why this page may not steer; nullopt if it may.
 Session::Refusal Control::not_allowed(const Page& page) {
   if (page.visitor().may_steer) return std::nullopt;
-  return fmt::format("{} may watch and stop, but not steer; required: a person with the right to measure",
-                     page.visitor().who.name.empty() ? "who has the token" : page.visitor().who.name);
+  if (page.visitor().who.name.empty())
+    return Message(
+        "who has the token may watch and stop, but not steer; required: a person with the right to measure");
+  return Message("{who} may watch and stop, but not steer; required: a person with the right to measure",
+                 page.visitor().who.name);
 }
 
 Session::Refusal Control::ask_control(Page& page) {
   if (Session::Refusal refusal = not_allowed(page)) return refusal;
-  if (controller_ == nullptr) return "nobody steers; take control";
-  if (controller_ == &page) return "this page steers already";
+  if (controller_ == nullptr) return Message("nobody steers; take control");
+  if (controller_ == &page) return Message("this page steers already");
   if (asking_ != nullptr && asking_ != &page)
-    return fmt::format("{} has asked before", asking_->asker().for_people());
+    return Message("{who} has asked before", asking_->asker().for_people());
   asking_ = &page;
   broadcast(control_message());
   return std::nullopt;
@@ -300,7 +330,7 @@ Session::Refusal Control::ask_control(Page& page) {
 
 Session::Refusal Control::answer_control(const AnswerControl& answer) {
   if (asking_ == nullptr || asking_->number != answer.page)
-    return fmt::format("page {} does not ask for control", answer.page);
+    return Message("page {page} does not ask for control", answer.page);
   Page* const asking = std::exchange(asking_, nullptr);
   if (!answer.hand_over) {
     broadcast(control_message());
@@ -314,7 +344,7 @@ Session::Refusal Control::answer_control(const AnswerControl& answer) {
 Session::Refusal Control::take_control(Page& page, const TakeControl& take) {
   if (Session::Refusal refusal = not_allowed(page)) return refusal;
   if (controller_ != nullptr && controller_ != &page && !take.from_another)
-    return fmt::format("{} steers; take control from it first", controller_->asker().for_people());
+    return Message("{who} steers; take control from it first", controller_->asker().for_people());
   if (controller_ != &page) bench_->control_taken(page.asker());
   give_control(&page);
   return std::nullopt;

@@ -59,13 +59,13 @@ class Control {
 
   void broadcast(const std::string& text);
   void receive_snapshot(std::string_view json);
-  void receive_state(BenchState state, const std::string& words);
+  void receive_state(BenchState state, const Message& words);
   void receive_reply(const Json& reply);
   void note_end(bool was_on);
   void receive_guard(const GuardWatch::Known& known);
   void confirm_stop();
   /// @return the reason of a refusal, empty: done; absent: the bench replies to it
-  std::optional<std::string> carry_out(Page& page, const Request& request, std::string_view text);
+  Session::Refusal carry_out(Page& page, const Request& request, std::string_view text);
   Session::Refusal take_control(Page& page, const TakeControl& take);
   static Session::Refusal not_allowed(const Page& page);
   Session::Refusal ask_control(Page& page);
@@ -77,7 +77,7 @@ class Control {
   ServerCommon& common_;
   std::unique_ptr<BenchLink> bench_;
   BenchState bench_state_ = BenchState::kStarting;
-  std::string bench_words_ = "The process that holds the bench is being started.";
+  Message bench_words_{"The process that holds the bench is being started."};
   std::map<std::uint64_t, PassedOn> passed_on_;
   std::uint64_t passed_on_so_far_ = 0;
   std::promise<bool> bench_closed_;

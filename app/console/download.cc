@@ -6,6 +6,7 @@
 #include "app/console/workshop.h"
 #include "app/document/document_html.h"
 #include "app/document/weasyprint.h"
+#include "app/document/write_pdf.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/report_certificate.h"
@@ -48,33 +49,34 @@ std::string certificate(const ItemOfRun& of, const std::stop_token&) {
 
 /// The document that `abcal report` shows of a run: its certificate if one was issued.
 struct Shown {
-  std::string html;
+  Document document;
   std::string certificate_xml;  ///< Empty: no certificate.
 };
 
 Shown shown(const ItemOfRun& of, const std::stop_token& cancelled) {
   const ReportData data = gather_report(of.run, RealClock().utc_now(), of.item);
   require_wanted(cancelled);
-  if (!is_certified(of)) return {document_html(calibration_document(data)).html, {}};
+  if (!is_certified(of)) return {calibration_document(data), {}};
   std::string xml = certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now());
-  return {document_html(certificate_page(xml)).html, std::move(xml)};
+  return {certificate_page(xml), std::move(xml)};
 }
 
 std::string report(const ItemOfRun& of, const std::stop_token& cancelled) {
-  return shown(of, cancelled).html;
+  return document_html(shown(of, cancelled).document);
 }
 
 std::string printed_report(const ItemOfRun& of, const std::stop_token& cancelled) {
   return bytes_of([&](const Path& file) {
-    PdfPrinter printer;
     const Shown page = shown(of, cancelled);
     require_wanted(cancelled);
     const auto is_cancelled = [&cancelled] { return cancelled.stop_requested(); };
-    if (page.certificate_xml.empty()) return printer.print(page.html, file, std::nullopt, is_cancelled);
+    if (page.certificate_xml.empty()) return write_pdf(page.document, file, std::nullopt, is_cancelled);
+    PdfPrinter printer;
     const TemporaryFolder folder;
     const Path attachment = folder / "certificate.xml";
     std::ofstream(attachment, std::ios::binary) << page.certificate_xml;
-    printer.print(page.html, file, Attachment{attachment, AttachmentKind::kData}, is_cancelled);
+    printer.print(document_html(page.document), file, Attachment{attachment, AttachmentKind::kData},
+                  is_cancelled);
   });
 }
 
@@ -96,7 +98,7 @@ const std::vector<Download>& downloads() {
   static const std::vector<Download> all{
       {"report.html", "Report (HTML)", "text/html; charset=utf-8", report, nullptr},
       {"report.pdf", "Report (PDF)", "application/pdf", printed_report,
-       [](const ItemOfRun&) { return is_installed(kWeasyPrint); }, true},
+       [](const ItemOfRun& of) { return !is_certified(of) || is_installed(kWeasyPrint); }, true},
       {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
       {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
       {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings, nullptr},

@@ -24,7 +24,7 @@ struct Download {
   std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
   /// Whether an item of a run has it; null: each has.
   std::function<bool(const ItemOfRun& of)> available;
-  bool is_printed = false;  ///< Made by another program (WeasyPrint), in seconds.
+  bool is_printed = false;  ///< Made by another program (abcal-pdf, WeasyPrint), in seconds.
 };
 
 const std::vector<Download>& downloads();

@@ -36,13 +36,13 @@ struct BenchOpened {
 struct FaultSeen {
   std::string instrument;  ///< As it names itself in messages.
   std::string fault;       ///< to_string(Fault)
-  std::string words;
+  Message words;
 };
 
 struct LogLine {
   enum class Grade { kInfo, kWarning, kProblem };
   Grade grade = Grade::kInfo;
-  std::string text;
+  Message text;
 };
 
 struct ChecksSeen {

@@ -13,22 +13,25 @@
 #include <string>
 #include <thread>
 
+#include "app/measure/guard/guard_packets.h"
+
 namespace abcal::console {
 
-/// Asks the guards of the bench directly, past the process that holds it: what is known of each axis, and
-/// Stop. A thread of its own waits for them.
+/// Knows each axis of the bench, past the process that holds it: asks the guards, and where none answers
+/// reads their log. Takes Stop to the guards. A thread of its own waits for them.
 class GuardWatch {
  public:
-  /// State of the axes as the guards report it; without a guard nothing was moved.
   struct Known {
-    nlohmann::json
-        message;  ///< For pages: {"type": "guard", "axes": {"x": {"state", "since", "detail"}, "z"}, ...}
-    bool is_at_rest = true;  ///< No axis may be moving, and none is unreachable.
+    nlohmann::json message;   ///< For pages: {"type": "guard", "axes": to_json(AxesReport), "halted"}
+    bool is_at_rest = false;  ///< Both axes are: AxisReport::is_at_rest().
+    bool has_guard = false;   ///< A guard answers, which can halt them.
   };
 
   /// @param lock_file  names the process that holds the bench
+  /// @param bench  the bench in the words of the log (bench_in_words()); empty: it cannot be told now
   /// @param notify  called from the thread of this object when the state has changed
-  GuardWatch(std::filesystem::path lock_file, std::function<void(const Known&)> notify);
+  GuardWatch(std::filesystem::path lock_file, std::function<std::string()> bench,
+             std::function<void(const Known&)> notify);
   ~GuardWatch();
 
   /// Has the guards halt the axes, unless they are confirmed at rest when `patience` is over: the process
@@ -43,10 +46,14 @@ class GuardWatch {
 
   void watch(const std::stop_token& end);
   Known ask(const nlohmann::json& question);
+  const AxesReport& logged();
 
   const std::filesystem::path lock_file_;
+  const std::function<std::string()> bench_;
   const std::function<void(const Known&)> notify_;
   std::set<pid_t> owners_;  ///< Processes that have held the bench and whose guards answer.
+  AxesReport logged_;       ///< By the log, as it was at that time.
+  std::optional<std::filesystem::file_time_type> logged_at_;
   std::mutex mutex_;
   std::condition_variable_any changed_;
   std::optional<StopOrder> order_;

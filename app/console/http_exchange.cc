@@ -11,6 +11,7 @@
 #include "app/document/json_text.h"
 #include "app/system/output.h"
 #include "drivers/wire/readable_bytes.h"
+#include "protocol/record/message_json.h"
 
 namespace abcal::console {
 namespace {
@@ -70,11 +71,17 @@ HttpResponse plain(const HttpRequest& request, http::status status, std::string 
   return respond(request, status, "text/plain; charset=utf-8", std::move(text) + "\n");
 }
 
-HttpResponse refuse(RefusalLog& log, const Asked& asked, http::status status, const std::string& why) {
+HttpResponse refuse(RefusalLog& log, const Asked& asked, http::status status, const Message& why) {
   const std::string_view target = view(asked.request.target());
   log(asked.peer,
-      fmt::format("{} {}", view(asked.request.method_string()), target.substr(0, target.find('?'))), why);
-  return plain(asked.request, status, why);
+      fmt::format("{} {}", view(asked.request.method_string()), target.substr(0, target.find('?'))),
+      why.english());
+  HttpResponse response = plain(asked.request, status, why);
+  // Headers are ASCII.
+  if (!why.id().empty())
+    response.set("Abcal-Message",
+                 message_json(why).dump(-1, ' ', true, nlohmann::json::error_handler_t::replace));
+  return response;
 }
 
 HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {

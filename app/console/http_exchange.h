@@ -79,7 +79,7 @@ HttpResponse respond(const HttpRequest& request, boost::beast::http::status stat
 HttpResponse plain(const HttpRequest& request, boost::beast::http::status status, std::string text);
 /// Refuses a request and logs it, without the part of its target behind "?", which may be a secret.
 HttpResponse refuse(RefusalLog& log, const Asked& asked, boost::beast::http::status status,
-                    const std::string& why);
+                    const Message& why);
 HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body);
 std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body);
 /// The answer with a file of the page; absent: no file has this path.

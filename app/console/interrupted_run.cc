@@ -1,7 +1,5 @@
 #include "app/console/interrupted_run.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <utility>
 
@@ -11,10 +9,11 @@
 namespace abcal::console {
 namespace {
 
-std::string in_words(const PlannedAngle& angle) {
-  if (angle.check) return fmt::format("check pose {}", angle.n);
-  return fmt::format("{}, {:g} degrees{}", circle_words(angle.experiment, angle.face), angle.alpha.deg(),
-                     angle.closing ? " (closing angle)" : "");
+Message in_words(const PlannedAngle& angle) {
+  if (angle.check) return {"check pose {n}", angle.n};
+  const Message circle = circle_words(angle.experiment, angle.face);
+  if (angle.closing) return {"{circle}, {alpha:g} degrees (closing angle)", circle, angle.alpha.deg()};
+  return {"{circle}, {alpha:g} degrees", circle, angle.alpha.deg()};
 }
 
 std::optional<std::filesystem::path> newest_run(const std::filesystem::path& folder) {
@@ -35,17 +34,16 @@ std::optional<std::filesystem::path> newest_run(const std::filesystem::path& fol
 }
 
 /// The text of the last interruption. Events of persons may be stored after it: a note, a request to stop.
-std::string why_interrupted(const std::vector<RunEvent>& events) {
+Message why_interrupted(const std::vector<RunEvent>& events) {
   const auto last = std::find_if(events.rbegin(), events.rend(), [](const RunEvent& event) {
     return event.kind == to_string(RunState::kInterrupted);
   });
-  return last == events.rend() ? "" : last->text;
+  return last == events.rend() ? Message() : last->text;
 }
 
 }  // namespace
 
-InterruptedRun describe_interrupted(std::string file, std::string words,
-                                    const std::vector<PlannedAngle>& plan,
+InterruptedRun describe_interrupted(std::string file, Message words, const std::vector<PlannedAngle>& plan,
                                     const std::set<std::size_t>& measured) {
   InterruptedRun run{std::move(file), std::move(words), measured.size(), plan.size(), {}};
   for (std::size_t position = 0; position < plan.size() && run.angle.empty(); ++position)
@@ -59,7 +57,7 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
   try {
     const StoredRun run = RunFile::load(*path);
     if (run.state != RunState::kRunning && run.state != RunState::kInterrupted) return std::nullopt;
-    std::string words = "Its program died, or another program is measuring it now.";
+    Message words("Its program died, or another program is measuring it now.");
     if (run.state == RunState::kInterrupted) words = why_interrupted(run.events);
     InterruptedRun interrupted =
         describe_interrupted(path->filename().string(), std::move(words), run.header.plan,
@@ -68,7 +66,7 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
     for (const RunEvent& event : run.events) {
       const bool is_new = event.kind == to_string(RunState::kInterrupted);
       if (!is_new && event.kind != kAcknowledgedEvent) continue;
-      interrupted.acknowledged_by = is_new ? "" : event.text;
+      interrupted.acknowledged_by = is_new ? "" : event.text.english();
       interrupted.acknowledged_utc = is_new ? "" : event.utc;
     }
     interrupted.items = static_cast<std::size_t>(std::ranges::count_if(run.items, takes_part));
@@ -80,7 +78,7 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
 
 void acknowledge_interrupted_run(const std::filesystem::path& run, const std::string& utc,
                                  const std::string& who) {
-  RunFile::open_for_append(run).append_event(utc, kAcknowledgedEvent, who);
+  RunFile::open_for_append(run).append_event(utc, kAcknowledgedEvent, Message::bare(who));
 }
 
 }  // namespace abcal::console

@@ -33,14 +33,15 @@ struct LetGo {};
 void JoggedStage::wait_until_stopped(StageAxis axis, double longest_s) const {
   const Clock::Instant deadline = clock.now() + from_seconds(longest_s);
   while (stage.motion_state(axis) == MotionState::kMoving) {
-    if (end.stop.stop_requested()) throw RunInterrupted("stopped by the operator");
+    if (end.stop.stop_requested()) throw RunInterrupted(Message("stopped by the operator"));
     if (end.let_go.stop_requested()) throw LetGo();
     if (clock.now() > deadline)
-      throw InstrumentError("stage", Fault::kStalled,
-                            fmt::format("axis {} still moves after {:.0f} s", to_string(axis), longest_s));
+      throw InstrumentError(
+          "stage", Fault::kStalled,
+          Message("axis {axis} still moves after {seconds:.0f} s", to_string(axis), longest_s));
     clock.sleep_until(clock.now() + from_seconds(protocol.poll_interval_s));
   }
-  if (end.stop.stop_requested()) throw RunInterrupted("stopped by the operator");
+  if (end.stop.stop_requested()) throw RunInterrupted(Message("stopped by the operator"));
 }
 
 void JoggedStage::home_if_needed(StageAxis axis) const {
@@ -49,7 +50,7 @@ void JoggedStage::home_if_needed(StageAxis axis) const {
   wait_until_stopped(axis, protocol.homing_timeout_s);
   if (!info(axis).referenced)
     throw InstrumentError("stage", Fault::kNotReady,
-                          fmt::format("axis {} stopped without finding its reference", to_string(axis)));
+                          Message("axis {axis} stopped without finding its reference", to_string(axis)));
 }
 
 /// Moves an axis, and waits for as long as the way takes at its speed and the timeout beyond.
@@ -65,8 +66,8 @@ void JoggedStage::go(StageAxis axis, Angle from, Angle target) const {
 Angle JoggedStage::turn_while_held(const Jog& jog) const {
   const StageAxisInfo axis = info(jog.axis);
   if (!axis.referenced)
-    throw std::invalid_argument(
-        fmt::format("axis {} is not homed: turn it by an angle first, which homes it", to_string(jog.axis)));
+    throw Telling<std::invalid_argument>(
+        Message("axis {axis} is not homed: turn it by an angle first, which homes it", to_string(jog.axis)));
   const Angle from = stage.encoder_angle(jog.axis);
   const double target_deg =
       std::clamp((from + jog.angle).deg(), axis.travel_min.deg(), axis.travel_max.deg());
@@ -80,10 +81,9 @@ Angle JoggedStage::turn_while_held(const Jog& jog) const {
   }
   if (end.let_go.stop_requested()) {
     if (!stage.halt())
-      throw InstrumentError(
-          "stage", Fault::kNoReply,
-          "the button was let go, and the stage did not acknowledge the halt: stop it by its "
-          "own switch");
+      throw InstrumentError("stage", Fault::kNoReply,
+                            Message("the button was let go, and the stage did not acknowledge the halt: stop "
+                                    "it by its own switch"));
     const JogEnd halted{end.stop};
     JoggedStage{stage, clock, protocol, halted}.wait_until_stopped(jog.axis, protocol.motion_timeout_s);
   }
@@ -100,8 +100,8 @@ Angle JoggedStage::turn(const Jog& jog) const {
   // Half a degree: a jog only needs to arrive; its accuracy does not matter.
   if (!(std::abs((encoder - target).deg()) <= 0.5))
     throw InstrumentError("stage", Fault::kStalled,
-                          fmt::format("axis {} stopped at {:.3f} deg, commanded {:.3f} deg",
-                                      to_string(jog.axis), encoder.deg(), target.deg()));
+                          Message("axis {axis} stopped at {found:.3f} deg, commanded {commanded:.3f} deg",
+                                  to_string(jog.axis), encoder.deg(), target.deg()));
   return encoder;
 }
 
@@ -132,10 +132,9 @@ Angle turn_axis(const Jog& jog, RotationStage& stage, Clock& clock, const Protoc
     const bool halted = stage.halt();
     // A halt from another thread makes the exchange under way fail: that is the operator's stop, not a fault.
     if (end.stop.stop_requested())
-      throw RunInterrupted(halted
-                               ? "stopped by the operator"
-                               : "stopped by the operator; the stage did not acknowledge the halt: stop it "
-                                 "by its own switch");
+      throw RunInterrupted(halted ? Message("stopped by the operator")
+                                  : Message("stopped by the operator; the stage did not acknowledge the "
+                                            "halt: stop it by its own switch"));
     throw;
   } catch (...) {
     stage.halt();

@@ -16,6 +16,7 @@
 #include "drivers/text/names.h"
 #include "protocol/estimators/circle/harmonic_fit.h"
 #include "protocol/plan/faces.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_file.h"
 #include "protocol/statistics/median.h"
 
@@ -65,15 +66,38 @@ Json halt_json(const HaltSeen& seen) {
 }
 
 Json fault_json(const FaultSeen& seen) {
-  return {{"instrument", seen.instrument}, {"fault", seen.fault}, {"words", seen.words}};
+  return {{"instrument", seen.instrument},
+          {"fault", seen.fault},
+          {"words", seen.words.english()},
+          {"messages", messages_json({seen.words})}};
+}
+
+Message verdict_word(const FinishedEvent& end) {
+  static constexpr std::array<Term, 3> kVerdicts{"usable", "doubtful", "not usable"};
+  return word_of(kVerdicts, end.verdict);
+}
+
+/// How a run ended, in words: the verdict and its reason, or the cause of the interruption.
+Json outcome_json(const FinishedEvent& end) {
+  Message words = end.reason;
+  if (end.complete)
+    words = end.verdict.empty() ? Message() : Message("{verdict}: {reason}", verdict_word(end), end.reason);
+  return {{"words", words.english()}, {"messages", messages_json({words})}};
+}
+
+Json ended_json(const FinishedEvent& end) {
+  Json json = to_json_object(end);
+  json["outcome"] = outcome_json(end);
+  return json;
 }
 
 Json interrupted_json(const InterruptedRun& run) {
   return {{"file", run.file},
-          {"words", run.words},
+          {"words", run.words.english()},
           {"measured", run.measured},
           {"planned", run.planned},
-          {"angle", run.angle},
+          {"angle", run.angle.english()},
+          {"messages", messages_json({run.words, run.angle})},
           {"items", run.items},
           {"acknowledged_by", run.acknowledged_by},
           {"acknowledged_utc", run.acknowledged_utc}};
@@ -82,7 +106,7 @@ Json interrupted_json(const InterruptedRun& run) {
 /// How long a phase may last before the run gives up.
 struct TimeLimit {
   double seconds = 0.0;  ///< In the time of the bench.
-  const char* words;     ///< Its consequence or its reference, for people.
+  Term words;            ///< Its consequence or its reference, for people.
 };
 
 std::optional<TimeLimit> limit_of(RunPhase phase, const ProtocolConfig& protocol) {
@@ -113,9 +137,10 @@ std::optional<TimeLimit> limit_of(RunPhase phase, const ProtocolConfig& protocol
 struct LineOf {
   using Line = std::optional<LogLine>;
   Line operator()(const RunBeganEvent& began) const {
-    if (!began.resumed) return info(fmt::format("Run {} begins: {} angles.", began.file, began.plan.size()));
-    return info(fmt::format("Run {} continues: {} of {} angles are measured.", began.file,
-                            began.measured.size(), began.plan.size()));
+    if (!began.resumed)
+      return info(Message("Run {run} begins: {angles} angles.", began.file, began.plan.size()));
+    return info(Message("Run {run} continues: {measured} of {planned} angles are measured.", began.file,
+                        began.measured.size(), began.plan.size()));
   }
   Line operator()(const FlagEvent& flag) const { return warning(flag.text); }
   Line operator()(const PortLostEvent& lost) const { return warning(lost.text); }
@@ -124,16 +149,16 @@ struct LineOf {
     return notice.kind == kGuardEvent ? info(notice.text) : warning(notice.text);
   }
   Line operator()(const NoteStoredEvent& note) const {
-    return info(fmt::format("Note, stored in the event log: {}", note.text));
+    return info(Message("Note, stored in the event log: {note}", note.text));
   }
   Line operator()(const FinishedEvent& end) const {
     if (end.measured_before)
       return info(
-          fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
-                      end.file, end.verdict));
+          Message("All angles of run {run} were measured already; it is closed and analysed now: {verdict}.",
+                  end.file, verdict_word(end)));
     if (!end.complete) return std::nullopt;
-    return info(
-        fmt::format("Run {} is complete: {}.", end.file, end.verdict.empty() ? "a levelling" : end.verdict));
+    if (end.verdict.empty()) return info(Message("Run {run} is complete: a levelling.", end.file));
+    return info(Message("Run {run} is complete: {verdict}.", end.file, verdict_word(end)));
   }
   template <class Other>
   Line operator()(const Other&) const {
@@ -141,8 +166,8 @@ struct LineOf {
   }
 
  private:
-  static Line info(std::string text) { return LogLine{LogLine::Grade::kInfo, std::move(text)}; }
-  static Line warning(std::string text) { return LogLine{LogLine::Grade::kWarning, std::move(text)}; }
+  static Line info(Message text) { return LogLine{LogLine::Grade::kInfo, std::move(text)}; }
+  static Line warning(Message text) { return LogLine{LogLine::Grade::kWarning, std::move(text)}; }
 };
 
 /// Whether an event needs no message: pages know it from the phase or the activity, and see no replay.
@@ -163,9 +188,10 @@ nlohmann::ordered_json findings_json(const std::vector<Finding>& findings) {
   nlohmann::ordered_json list = nlohmann::ordered_json::array();
   for (const Finding& finding : findings) {
     list.push_back({{"grade", to_string(finding.grade)},
-                    {"what", finding.what},
-                    {"found", finding.found},
-                    {"advice", finding.advice}});
+                    {"what", finding.what.english()},
+                    {"found", finding.found.english()},
+                    {"advice", finding.advice.english()},
+                    {"messages", messages_json({finding.what, finding.found, finding.advice})}});
   }
   return list;
 }
@@ -235,7 +261,7 @@ Json LiveView::fold(const PhaseEvent& phase) {
   if (phase.phase == RunPhase::kHolding) last_dwell_.reset();
   const auto limit = limit_of(phase.phase, bench_.protocol);
   return {{"limit_s", json_number(limit ? std::optional(limit->seconds) : std::nullopt)},
-          {"limit_words", limit ? Json(limit->words) : Json(nullptr)},
+          {"limit_words", limit ? Json(limit->words.english()) : Json(nullptr)},
           {"limit_simulated", limit && bench_.simulated_time}};
 }
 
@@ -283,7 +309,8 @@ Json LiveView::fold(const FinishedEvent& end) {
       interrupted_->items = static_cast<std::size_t>(
           std::ranges::count_if(run_->items, [](const ItemSummary& item) { return item.missing.empty(); }));
   }
-  return {{"interrupted", interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr)}};
+  return {{"outcome", outcome_json(end)},
+          {"interrupted", interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr)}};
 }
 
 /// The one-harmonic curve through the angles of an experiment that are measured so far. It is that of the
@@ -364,8 +391,10 @@ Json LiveView::on(const StripSeen& seen) {
 }
 
 Json LiveView::keep(const LogLine& line) {
-  Json entry = {
-      {"utc", format_utc(clock_.utc_now())}, {"grade", kGrades.of(line.grade)}, {"text", line.text}};
+  Json entry = {{"utc", format_utc(clock_.utc_now())},
+                {"grade", kGrades.of(line.grade)},
+                {"text", line.text.english()},
+                {"messages", messages_json({line.text})}};
   log_.push_back(entry);
   if (log_.size() > kKeptLog) log_.pop_front();
   return entry;
@@ -413,12 +442,13 @@ std::string LiveView::snapshot() const {
     run = to_json_object(*run_);
     run["fits"] = {fit_of(1), fit_of(2), fit_of(3)};
     run["progress"] = progress();
-    run["ended"] = ended_ ? to_json_object(*ended_) : Json(nullptr);
+    run["ended"] = ended_ ? ended_json(*ended_) : Json(nullptr);
   }
   json["phase"] = phase_;
   json["halt"] = halt_ ? halt_json(*halt_) : Json(nullptr);
   json["fault"] = fault_ ? fault_json(*fault_) : Json(nullptr);
-  json["guard"] = guard_;
+  json["guard"] = guard_.english();
+  json["messages"] = messages_json({guard_});
   json["interrupted"] = interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr);
   json["stage"] = {{"x", stage_json(stage_[0])}, {"z", stage_json(stage_[1])}};
   json["strip"] = strip_;

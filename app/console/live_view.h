@@ -19,8 +19,8 @@ nlohmann::ordered_json findings_json(const std::vector<Finding>& findings);
 
 /// The state of the bench that pages show, made from events. Each event becomes one message; that of a
 /// session is its own JSON with members derived from it. snapshot() is all that a page needs at first, or to
-/// catch up. Messages are JSON (docs/console.md). Only the latest of unbounded data are kept. For one
-/// thread.
+/// catch up. Messages are JSON (docs/console_programs.md). Only the latest of unbounded data are kept. For
+/// one thread.
 class LiveView {
  public:
   /// `about` never changes: names, pace, versions. `clock` is real time, for log and time left.
@@ -76,7 +76,7 @@ class LiveView {
   std::optional<FinishedEvent> ended_;
   std::optional<HaltSeen> halt_;  ///< Last halt of the current or last activity.
   std::optional<FaultSeen> fault_;
-  std::string guard_;
+  Message guard_;
   std::optional<InterruptedRun> interrupted_;
   std::optional<ChecksSeen> checks_;
   Json phase_;                          ///< The message of the last phase, or null.

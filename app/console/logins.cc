@@ -119,7 +119,7 @@ HttpResponse Logins::refuse_throttled(const Asked& asked, Clock::Duration wait) 
   const auto seconds = static_cast<long>(std::ceil(to_seconds(wait)));
   HttpResponse response =
       refuse(common_.log_refusal, asked, http::status::too_many_requests,
-             fmt::format("Too many attempts have failed; the next is possible in {} s.", seconds));
+             Message("Too many attempts have failed; the next is possible in {seconds} s.", seconds));
   response.set(http::field::retry_after, fmt::format("{}", seconds));
   return response;
 }
@@ -138,7 +138,7 @@ HttpResponse Logins::log_in_by_token(const Asked& asked, const std::string& toke
     return refuse_throttled(asked, time);
   if (access.token.empty() || !same_secret(token, access.token)) {
     failed({}, asked.peer);
-    return refuse(common_.log_refusal, asked, http::status::unauthorized, "This is not the token.");
+    return refuse(common_.log_refusal, asked, http::status::unauthorized, Message("This is not the token."));
   }
   succeeded({}, asked.peer);
   constexpr std::chrono::hours kTokenLife{24 * 30};
@@ -147,13 +147,14 @@ HttpResponse Logins::log_in_by_token(const Asked& asked, const std::string& toke
 
 HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
-  if (!form) return refuse(common_.log_refusal, asked, http::status::bad_request, "The form cannot be read.");
+  if (!form)
+    return refuse(common_.log_refusal, asked, http::status::bad_request, Message("The form cannot be read."));
   const auto field = [&](const char* name) { return field_of(*form, name); };
   if (form->contains("token")) return log_in_by_token(asked, field("token"));
   const std::string name = field("name"), password = field("password");
   if (!common_.options.access.persons || name.empty())
     return refuse(common_.log_refusal, asked, http::status::bad_request,
-                  "The form lacks a name and a password, or a token.");
+                  Message("The form lacks a name and a password, or a token."));
   // The request is gone when the register has answered.
   struct Attempt {
     Peer peer;
@@ -171,10 +172,11 @@ HttpResponse Logins::log_in(const Asked& asked, Slow& later) {
     const Asked then{attempt->peer, attempt->head, Access::kNoToken, {}};
     if (!attempt->problem.empty())
       return refuse(common_.log_refusal, then, http::status::service_unavailable,
-                    "The register cannot be read: " + attempt->problem);
+                    Message("The register cannot be read: {why}", attempt->problem));
     if (attempt->wait > Clock::Duration::zero()) return refuse_throttled(then, attempt->wait);
     if (!attempt->person)
-      return refuse(common_.log_refusal, then, http::status::unauthorized, "Name or password is not right.");
+      return refuse(common_.log_refusal, then, http::status::unauthorized,
+                    Message("Name or password is not right."));
     const Persons::Known person = persons_.remember(*std::move(attempt->person));
     print_log("console: {} has logged in from {}\n", person->who.name, attempt->peer.remote);
     return greet(then, login_cookie_, person->login, common_.options.login_time);

@@ -5,12 +5,14 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <stdexcept>
 #include <string>
 #include <string_view>
+#include <system_error>
+#include <utility>
 
 #include "app/console/bench_channel.h"
 #include "app/console/bench_service.h"
+#include "app/system/channel.h"
 
 namespace abcal::console {
 namespace {
@@ -20,14 +22,15 @@ using Json = nlohmann::ordered_json;
 /// The whole state of a bench, asked for over its socket. Null if it does not answer in time; nullopt if no
 /// process listens there.
 std::optional<Json> snapshot_of(const std::filesystem::path& socket, std::chrono::milliseconds patience) {
+  Descriptor connected;
+  try {
+    connected = connect_to(socket, ChannelKind::kBytes);
+  } catch (const std::system_error&) {
+    return std::nullopt;
+  }
   boost::asio::io_context io;
-  BenchChannel::Socket connected(io);
-  const SocketName name(socket);
-  boost::system::error_code error;
-  connected.connect(name.endpoint(), error);
-  if (error) return std::nullopt;
   Json snapshot;
-  const auto channel = std::make_shared<BenchChannel>(std::move(connected));
+  const auto channel = std::make_shared<BenchChannel>(io, std::move(connected));
   channel->begin(
       [&](std::string_view line) {
         if (line[0] != bench_line::kSnapshot) return;
@@ -74,13 +77,7 @@ Json other_benches(const std::vector<std::filesystem::path>& folders, std::chron
   }
   std::ranges::sort(sockets);
   Json tiles = Json::array();
-  for (const std::filesystem::path& socket : sockets) {
-    try {
-      tiles.push_back(tile_of(socket, patience));
-    } catch (const std::runtime_error&) {
-      continue;  // The folder has vanished.
-    }
-  }
+  for (const std::filesystem::path& socket : sockets) tiles.push_back(tile_of(socket, patience));
   return tiles;
 }
 

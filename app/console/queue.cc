@@ -10,6 +10,7 @@
 #include "app/console/request.h"
 #include "app/document/json_text.h"
 #include "app/system/output_file.h"
+#include "protocol/record/message_json.h"
 
 namespace abcal::console {
 namespace {
@@ -17,7 +18,7 @@ namespace {
 using QueueJson = nlohmann::ordered_json;
 
 constexpr const char* kSchema = "abcal.queue/1";
-constexpr const char* kNoEntry = "there is no such entry in the queue";
+constexpr Term kNoEntry = "there is no such entry in the queue";
 
 QueueJson entry_json(const QueueEntry& entry) {
   return {{"number", entry.number},
@@ -25,7 +26,8 @@ QueueJson entry_json(const QueueEntry& entry) {
           {"wanted", entry.wanted},
           {"made", entry.made},
           {"now", entry.now},
-          {"problem", entry.problem},
+          {"problem", entry.problem.english()},
+          {"messages", messages_json({entry.problem})},
           {"interrupted", entry.interrupted}};
 }
 
@@ -37,7 +39,10 @@ QueueEntry entry_of(const nlohmann::json& json) {
   entry.wanted = json.at("wanted").get<int>();
   entry.made = json.at("made").get<std::vector<std::string>>();
   entry.now = json.at("now").get<std::string>();
-  entry.problem = json.at("problem").get<std::string>();
+  entry.problem = Message::bare(json.at("problem").get<std::string>());
+  for (const nlohmann::json& each : json.value("messages", nlohmann::json::array()))
+    if (const Message message = message_from_json(each); message == entry.problem.english())
+      entry.problem = message;
   entry.interrupted = json.at("interrupted").get<std::string>();
   return entry;
 }
@@ -60,12 +65,12 @@ void Queue::read() {
     last_number_ = json.at("last_number").get<std::int64_t>();
   } catch (const std::exception& error) {
     entries_.clear();
-    problem_ = fmt::format("The queue cannot be read from {}: {}. Remove the file, or put it right.",
-                           file_.string(), error.what());
+    problem_ = Message("The queue cannot be read from {file}: {why}. Remove the file, or put it right.",
+                       file_.string(), message_of(error));
   }
   for (QueueEntry& entry : entries_)
     if (const std::string run = std::exchange(entry.now, ""); !run.empty()) {
-      entry.problem = fmt::format("the program ended during run {}, which can be resumed", run);
+      entry.problem = Message("the program ended during run {run}, which can be resumed", run);
       entry.interrupted = run;
     }
 }
@@ -78,7 +83,7 @@ Queue::Refusal Queue::keep() {
   try {
     OutputFile(file_).write(json_text(json, 1) + "\n");
   } catch (const std::runtime_error& error) {
-    return fmt::format("the queue cannot be kept: {}", error.what());
+    return Message("the queue cannot be kept: {why}", message_of(error));
   }
   return std::nullopt;
 }
@@ -107,7 +112,7 @@ const QueueEntry* Queue::running() const {
 
 Queue::Refusal Queue::add(const RunChoice& choice, int wanted) {
   if (entries_.size() >= kMostEntries)
-    return fmt::format("the queue has {} entries already; remove those that are done", entries_.size());
+    return Message("the queue has {entries} entries already; remove those that are done", entries_.size());
   QueueEntry entry;
   entry.number = ++last_number_;
   entry.choice = choice;
@@ -123,7 +128,7 @@ Queue::Refusal Queue::move(std::int64_t number, int by) {
   QueueEntry* const entry = find(number);
   if (entry == nullptr) return kNoEntry;
   const auto can_move = [](const QueueEntry& one) { return !one.is_done() && one.now.empty(); };
-  if (!can_move(*entry)) return "what is done or in progress stays where it is";
+  if (!can_move(*entry)) return Message("what is done or in progress stays where it is");
   auto at = entry - entries_.data();
   const auto step = by < 0 ? -1 : 1;
   for (int left = std::abs(by); left > 0; --left) {
@@ -140,7 +145,7 @@ Queue::Refusal Queue::move(std::int64_t number, int by) {
 Queue::Refusal Queue::remove(std::int64_t number) {
   const QueueEntry* const entry = find(number);
   if (entry == nullptr) return kNoEntry;
-  if (!entry->now.empty()) return "it is being measured; stop it first";
+  if (!entry->now.empty()) return Message("it is being measured; stop it first");
   entries_.erase(entries_.begin() + (entry - entries_.data()));
   return keep();
 }
@@ -149,7 +154,7 @@ Queue::Refusal Queue::repeat(std::int64_t number) {
   QueueEntry* const entry = find(number);
   if (entry == nullptr) return kNoEntry;
   if (entry->is_done()) return add(RunChoice(entry->choice), 1);
-  if (entry->wanted >= kMostRuns) return fmt::format("at most {} runs of one entry", kMostRuns);
+  if (entry->wanted >= kMostRuns) return Message("at most {most} runs of one entry", kMostRuns);
   ++entry->wanted;
   return keep();
 }
@@ -166,16 +171,18 @@ void Queue::checked(std::int64_t of, ItemCheck check) {
 }
 
 Queue::Refusal Queue::may_check(std::int64_t number) const {
-  if (paused_) return "the queue is paused; let it go on first";
+  if (paused_) return Message("the queue is paused; let it go on first");
   const QueueEntry* const entry = next();
-  if (entry == nullptr || entry->number != number) return "this entry is not the next of the queue";
+  if (entry == nullptr || entry->number != number) return Message("this entry is not the next of the queue");
   return std::nullopt;
 }
 
 Queue::Refusal Queue::may_start(std::int64_t number) const {
   if (Refusal refusal = may_check(number)) return refusal;
-  if (!check_ || check_->of != number) return "nobody has checked that its item is mounted; check it first";
-  if (!check_->check.passed()) return "the check of the mounted item found a problem; check it again";
+  if (!check_ || check_->of != number)
+    return Message("nobody has checked that its item is mounted; check it first");
+  if (!check_->check.passed())
+    return Message("the check of the mounted item found a problem; check it again");
   return std::nullopt;
 }
 
@@ -183,7 +190,7 @@ void Queue::began(std::int64_t number, const std::string& run) {
   QueueEntry* const entry = find(number);
   if (entry == nullptr) return;
   entry->now = run;
-  entry->problem.clear();
+  entry->problem = {};
   entry->interrupted.clear();
   before_.serial_number = entry->choice.item->serial_number;
   if (check_ && check_->of == number) before_.reported = check_->check.reported;
@@ -191,7 +198,7 @@ void Queue::began(std::int64_t number, const std::string& run) {
   (void)keep();  // A failure to store it is reported at the next change.
 }
 
-bool Queue::ended(const std::string& run, bool complete, const std::string& words) {
+bool Queue::ended(const std::string& run, bool complete, const Message& words) {
   const auto found = std::find_if(entries_.begin(), entries_.end(), [&](const QueueEntry& entry) {
     return !run.empty() && (entry.now == run || entry.interrupted == run);
   });
@@ -200,7 +207,8 @@ bool Queue::ended(const std::string& run, bool complete, const std::string& word
   const bool was_on = std::exchange(entry.now, "") == run;
   if (complete) {
     entry.made.push_back(run);
-    entry.problem = entry.interrupted = "";
+    entry.problem = {};
+    entry.interrupted.clear();
     mounted_ = was_on && !paused_ ? entry.number : 0;
   } else {
     entry.problem = words;
@@ -214,7 +222,8 @@ bool Queue::ended(const std::string& run, bool complete, const std::string& word
 
 void Queue::did_not_begin(std::int64_t number) {
   paused_ = true;
-  if (QueueEntry* const entry = find(number)) entry->problem = "its run did not begin; the log says why";
+  if (QueueEntry* const entry = find(number))
+    entry->problem = Message("its run did not begin; the log says why");
   (void)keep();
 }
 
@@ -224,7 +233,11 @@ const QueueEntry* Queue::repeats() const {
 }
 
 QueueJson Queue::json() const {
-  QueueJson json = {{"paused", paused_}, {"problem", problem_}, {"next", nullptr}, {"check", nullptr}};
+  QueueJson json = {{"paused", paused_},
+                    {"problem", problem_.english()},
+                    {"messages", messages_json({problem_})},
+                    {"next", nullptr},
+                    {"check", nullptr}};
   if (const QueueEntry* const entry = next()) json["next"] = entry->number;
   if (check_) {
     json["check"] = {{"of", check_->of},

@@ -19,7 +19,7 @@ struct QueueEntry {
   int wanted = 1;                 ///< Number of runs.
   std::vector<std::string> made;  ///< Names of the runs that are complete.
   std::string now;                ///< Name of the run in progress; empty: none.
-  std::string problem;            ///< Why its last run is not complete; empty: no problem.
+  Message problem;                ///< Why its last run is not complete; empty: no problem.
   std::string interrupted;        ///< Name of that run, which may be resumed and then counts.
 
   bool is_done() const { return static_cast<int>(made.size()) >= wanted; }
@@ -30,14 +30,14 @@ struct QueueEntry {
 /// For one thread.
 class Queue {
  public:
-  using Refusal = std::optional<std::string>;
+  using Refusal = std::optional<Message>;
   static constexpr std::size_t kMostEntries = 200;
   static constexpr int kMostRuns = 100;
 
   /// Reads `file`. A file that cannot be read is reported by problem(), and is not overwritten.
   explicit Queue(std::filesystem::path file);
 
-  const std::string& problem() const { return problem_; }
+  const Message& problem() const { return problem_; }
   bool paused() const { return paused_; }
   const std::vector<QueueEntry>& entries() const { return entries_; }
   /// The entry that is measured next; null: none is left.
@@ -67,7 +67,7 @@ class Queue {
 
   void began(std::int64_t number, const std::string& run);
   /// A run ended. @return whether it belongs to the queue
-  bool ended(const std::string& run, bool complete, const std::string& words);
+  bool ended(const std::string& run, bool complete, const Message& words);
   /// The run of an entry failed before it had a file.
   void did_not_begin(std::int64_t number);
   /// The item of the queue that was measured last.
@@ -94,7 +94,7 @@ class Queue {
   std::vector<QueueEntry> entries_;
   std::int64_t last_number_ = 0;
   bool paused_ = true;
-  std::string problem_;
+  Message problem_;
   std::optional<Checked> check_;
   std::int64_t mounted_ = 0;  ///< The entry whose run ended last, complete, with nothing done since.
   ItemBefore before_;

@@ -77,8 +77,8 @@ void QueueDesk::see_activity(const ActivitySeen& seen) {
   if (again == nullptr) return;
   const std::int64_t number = again->number;
   notify_(LogLine{LogLine::Grade::kInfo,
-                  fmt::format("Run {} of {} of {} begins: the item stays mounted.", again->made.size() + 1,
-                              again->wanted, again->choice.item->serial_number)});
+                  Message("Run {n} of {all} of {item} begins: the item stays mounted.",
+                          again->made.size() + 1, again->wanted, again->choice.item->serial_number)});
   if (const Session::Refusal refusal = session_.start(again->choice, starter_)) {
     notify_(LogLine{LogLine::Grade::kProblem, *refusal});
     queue_.did_not_begin(number);

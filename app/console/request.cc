@@ -167,8 +167,7 @@ QueueCommand queue_command_of(const std::string& what, Keys& keys) {
   if (what == "queue_start") return QueueStart{entry};
   throw RequestError(
       "of the queue, \"do\" must be queue_add, queue_move, queue_remove, queue_repeat, queue_pause, "
-      "queue_mounted "
-      "or queue_start");
+      "queue_mounted or queue_start");
 }
 
 Command command_of(const std::string& what, Keys& keys) {
@@ -216,9 +215,7 @@ Command command_of(const std::string& what, Keys& keys) {
   if (what == "note") return Note{note_of(keys.text("text"))};
   throw RequestError(
       "\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog, keep_turning, note, "
-      "acknowledge, level, "
-      "probe or "
-      "queue_...");
+      "acknowledge, level, probe or queue_...");
 }
 
 }  // namespace

@@ -13,8 +13,8 @@
 
 namespace abcal::console {
 
-// Requests of a page over its WebSocket, one JSON object each (docs/console.md). Reading a request is
-// separate from carrying it out: bytes in, request out, no side effects.
+// Requests of a page over its WebSocket, one JSON object each (docs/console_programs.md). Reading a request
+// is separate from carrying it out: bytes in, request out, no side effects.
 
 /// The longest request that is accepted, in bytes.
 constexpr std::size_t kLongestRequest = 4096;

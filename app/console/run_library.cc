@@ -35,6 +35,7 @@
 #include "drivers/text/text.h"
 #include "protocol/estimators/checks/check_meanings.h"
 #include "protocol/estimators/checks/comparison.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/run_seal.h"
@@ -396,7 +397,8 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
       Json outputs = Json::array();
       for (const auto& [symbol, share] : each.outputs)
         outputs.push_back({{"output", symbol}, {"share", json_number(share)}});
-      json["dominates"].push_back({{"input", each.input}, {"outputs", std::move(outputs)}});
+      json["dominates"].push_back(
+          {{"input", each.input}, {"message", message_json(each.input)}, {"outputs", std::move(outputs)}});
     }
   json["item"] = run.item;
   json["program_version"] = run.header.program_version;
@@ -415,7 +417,10 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
   }
   json["events"] = Json::array();
   for (const RunEvent& event : run.events)
-    json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
+    json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text.english()}});
+  std::vector<Message> texts;
+  for (const RunEvent& event : run.events) texts.push_back(event.text);
+  json["messages"] = messages_json(texts);
   json["downloads"] = Json::array();
   for (const Download& download : downloads()) {
     if (!download.available || download.available({path, run.item}))
@@ -517,7 +522,8 @@ std::optional<std::string> RunLibrary::find_item(const std::string& name) const 
 }
 
 Json RunLibrary::compare(const std::string& first, const std::string& second, bool shared_stage) {
-  std::vector<ComparedResult> results = load_compared({first, second}, std::string(kPublishedEstimator));
+  std::vector<ComparedResult> results =
+      load_compared({first, second}, estimator_to_compare({}, shared_stage));
   for (ComparedResult& result : results)  // A page refers to runs by name.
     result.file = std::filesystem::path(result.file).filename().string();
   CompareOptions options;
@@ -568,7 +574,10 @@ std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std
     if (items.empty()) return {};
     time = known.time;
     charted = known.charted;
-    point = {{"name", name}, {"created_utc", summary.created_utc}, {"simulated", summary.simulated}};
+    point = {{"name", name},
+             {"created_utc", summary.created_utc},
+             {"simulated", summary.simulated},
+             {"estimator", known.estimator}};
   }
   std::vector<Json> points;
   std::optional<AnalysedRun> analysed;  // Analysed once for all items of the run.
@@ -576,7 +585,7 @@ std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std
     auto found = charted.find(item);
     if (found == charted.end()) {
       if (!analysed)
-        analysed = analyse_run(RunFile::load_items(folder_ / name), std::string(kPublishedEstimator));
+        analysed = analyse_run(RunFile::load_items(folder_ / name), point["estimator"].get<std::string>());
       found = charted.emplace(item, charted_of(analysed->item(item).results.front())).first;
       const std::lock_guard lock(mutex_);
       const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.

@@ -32,8 +32,8 @@ class RunLibrary {
   static std::optional<std::filesystem::path> find_in(const std::filesystem::path& folder,
                                                       const std::string& name);
 
-  // Each of these is JSON as docs/console.md describes it. A run in progress is read with the data measured
-  // so far.
+  // Each of these is JSON as docs/console_programs.md describes it. A run in progress is read with the data
+  // measured so far.
 
   /// All runs, newest first, with their state and progress. A file that cannot be read is listed with the
   /// reason; one for which `patience` left no time, as "not read yet": ask again.
@@ -75,8 +75,8 @@ class RunLibrary {
                                         bool shared_stage);
   /// Whether a chart shows this property: s_u to O_w.
   static bool is_charted(const std::string& property);
-  /// One charted property, by the published protocol, in every complete run of one item, oldest first, with
-  /// the limits of a control chart of single values.
+  /// One charted property in every complete run of one item, by the estimator that the run declares, oldest
+  /// first, with the limits of a control chart of single values.
   nlohmann::ordered_json history(const std::string& serial_number, const std::string& property);
 
  private:

@@ -45,9 +45,9 @@ struct ServerOptions {
 };
 
 /// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers
-/// (docs/console.md). All connections live in one thread, which never waits for any of them, nor for the
-/// bench; messages of the bench go into a bounded queue for each page. The bench itself is held by a process
-/// of its own (BenchService), which is found or started, and continues if this one dies.
+/// (docs/console_programs.md). All connections live in one thread, which never waits for any of them, nor for
+/// the bench; messages of the bench go into a bounded queue for each page. The bench itself is held by a
+/// process of its own (BenchService), which is found or started, and continues if this one dies.
 class Server {
  public:
   /// Listens from here on.

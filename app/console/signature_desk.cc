@@ -24,7 +24,7 @@ Registered SignatureDesk::approver(const StoredRun& run, const Visitor& visitor,
     (void)opened.find_person({});  // Throws if the register is lost.
     throw LoginRefused(refused.what());
   }
-  if (const auto why = why_not_approve(who->person(), run)) throw std::invalid_argument(*why);
+  if (const auto why = why_not_approve(who->person(), run)) throw Telling<std::invalid_argument>(*why);
   return {std::move(opened), *std::move(who)};
 }
 
@@ -48,8 +48,8 @@ nlohmann::ordered_json SignatureDesk::take(const ItemOfRun& of, const std::strin
     return is_same(each.form.of, of) && each.person == visitor.who.name;
   });
   if (found == waiting_.end())
-    throw StaleApproval(
-        "no certificate of this item waits for your signature; make the one that is to be signed again");
+    throw StaleApproval(Message(
+        "no certificate of this item waits for your signature; make the one that is to be signed again"));
   const StoredRun stored = require_approvable(found->form, place_);
   Registered registered = approver(stored, visitor, clock.utc_now());
   const IssueOutcome outcome = issue_signed(found->awaited, signed_xml, registered, clock);

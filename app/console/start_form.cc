@@ -27,6 +27,7 @@
 #include "app/results/planner/plan_search.h"
 #include "app/system/read_file.h"
 #include "protocol/plan/backlash.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 
@@ -41,7 +42,7 @@ constexpr std::chrono::hours kCheckHolds{24};
 /// The item with the noise of a reading, and the source of that value.
 struct Noise {
   KnownItem item;
-  std::string source;
+  Message source;
 };
 
 /// Puts the form together, topic by topic.
@@ -59,19 +60,26 @@ class Form {
       const BenchConfig config = read_bench(asked_.bench_file, register_records());
       json_["as_bench_file"] = plan_json(config);
       ChosenRun chosen = choose_run(config, asked_.choice);
-      for (std::string& warning : chosen.config.warnings) warn(std::move(warning));
-      for (std::string& warning : chosen.warnings) warn(std::move(warning));
+      for (std::string& warning : chosen.config.warnings) warn(Message::bare(std::move(warning)));
+      for (Message& warning : chosen.warnings) warn(std::move(warning));
       add_all(chosen.config);
     } catch (const std::exception& error) {
-      problems_.push_back(error.what());
+      problems_.push_back(message_of(error));
     }
-    json_["warnings"] = std::move(warnings_);
-    json_["problems"] = std::move(problems_);
+    json_["warnings"] = texts(warnings_);
+    json_["problems"] = texts(problems_);
+    warnings_.insert(warnings_.end(), problems_.begin(), problems_.end());
+    json_["messages"] = messages_json(warnings_);
     return std::move(json_);
   }
 
  private:
-  void warn(std::string words) { warnings_.push_back(std::move(words)); }
+  static Json texts(const std::vector<Message>& messages) {
+    Json list = Json::array();
+    for (const Message& message : messages) list.push_back(message.english());
+    return list;
+  }
+  void warn(Message words) { warnings_.push_back(std::move(words)); }
 
   static Json plan_json(const BenchConfig& config) {
     return {{"steps", config.protocol.steps},
@@ -96,15 +104,17 @@ class Form {
                                 {"driver", each.accelerometer.driver}});
     }
     if (!config.has_several_items() && item.serial_number.empty())
-      warn("The item has no serial number: the run will have the one that the instrument reports.");
+      warn(Message("The item has no serial number: the run will have the one that the instrument reports."));
     add_register(config);
     add_operator(config);
     add_plan(config);
     add_check();
     add_stage_record(config);
     if (const auto run = find_interrupted_run(asked_.runs))
-      warn(fmt::format("Run {} was interrupted: {} of {} angles are measured. It can be resumed instead.",
-                       run->file, run->measured, run->planned));
+      warn(
+          Message("Run {run} was interrupted: {measured} of {planned} angles are measured. It can be resumed "
+                  "instead.",
+                  run->file, run->measured, run->planned));
   }
 
   void add_register(const BenchConfig& config) {
@@ -127,27 +137,28 @@ class Form {
         {"name", opened.facts().name}, {"training", opened.facts().training}, {"items", std::move(items)}};
     if (!known)
       warn(
-          fmt::format("The register has no item {} {} in use: check the serial number, or add the item "
-                      "(abcal lab add item).",
-                      wanted.model, wanted.serial_number));
+          Message("The register has no item {model} {serial} in use: check the serial number, or add the "
+                  "item (abcal lab add item).",
+                  wanted.model, wanted.serial_number));
     for (const lab::BenchBlock& block : opened.blocks())
       if (block.holds() && block.bench == config.name)
         warn(
-            fmt::format("The check standard {} blocks this bench since {}: no certificate is issued for what "
-                        "is measured on it ({}).",
-                        block.check_standard, block.set_utc, block.found));
+            Message("The check standard {standard} blocks this bench since {since}: no certificate is issued "
+                    "for what is measured on it ({found}).",
+                    block.check_standard, block.set_utc, block.found));
   }
 
   void add_operator(const BenchConfig& config) {
     const bool verified = asked_.who.verified();
     json_["operator"] = {{"name", verified ? asked_.who.name : config.operator_name}, {"verified", verified}};
     if (verified && !config.operator_name.empty() && config.operator_name != asked_.who.name)
-      problems_.push_back(fmt::format(
-          "[operator] name in the bench file is \"{}\", but {} is logged in; required: the person "
-          "who is logged in, or no name",
-          config.operator_name, asked_.who.name));
+      problems_.push_back(
+          Message("[operator] name in the bench file is \"{stated}\", but {logged_in} is logged in; "
+                  "required: the person who is logged in, or no name",
+                  config.operator_name, asked_.who.name));
     if (!verified && config.operator_name.empty())
-      warn("Nobody is the operator: the bench file has no [operator] name, and there is no register.");
+      warn(Message(
+          "Nobody is the operator: the bench file has no [operator] name, and there is no register."));
   }
 
   void add_plan(const BenchConfig& config) {
@@ -166,14 +177,13 @@ class Form {
                          {"speeds_known", axes[0].speed.deg_per_s > 0.0 && axes[1].speed.deg_per_s > 0.0}};
     if (axes[0].travel_assumed || axes[1].travel_assumed)
       warn(
-          "The travel of the stage is not in the bench file: -360 to 360 degrees is assumed here; the run "
-          "asks "
-          "the stage.");
+          Message("The travel of the stage is not in the bench file: -360 to 360 degrees is assumed here; "
+                  "the run asks the stage."));
     const Tolerances& tolerances = config.items.front().tolerances;
-    if (const std::string words = default_effects_words(tolerances, Advice::kForOperator); !words.empty())
-      warn(fmt::format("Sizes of effects: {}.", words));
+    if (const Message words = default_effects_words(tolerances, Advice::kForOperator); !words.empty())
+      warn(Message("Sizes of effects: {effects}.", words));
     if (backlash_is_left(config.protocol, plan))
-      warn(fmt::format("Backlash: {}.", backlash_words(tolerances.zero)));
+      warn(Message("Backlash: {words}.", backlash_words(tolerances.zero)));
     add_disk(config, plan.size(), duration.total_s());
     predict(config);
   }
@@ -188,13 +198,14 @@ class Form {
     try {
       if (auto warning = check_disk_space(asked_.runs, need, free)) warn(*std::move(warning));
     } catch (const std::runtime_error& too_little) {
-      problems_.push_back(too_little.what());
+      problems_.push_back(message_of(too_little));
     }
   }
 
   /// The noise of a reading: as simulated, else from an earlier run of this item, else of its model.
   std::optional<Noise> known_noise(const BenchConfig& config) {
-    if (const auto noise = simulated_noise(config)) return Noise{{.noise = *noise}, "the simulation"};
+    if (const auto noise = simulated_noise(config))
+      return Noise{{.noise = *noise}, Message("the simulation")};
     const ItemConfig& item = config.items.front().item;
     std::string of_model;
     for (const Json& run : library_.list()) {
@@ -208,9 +219,9 @@ class Form {
 
   std::optional<Noise> noise_of(const std::string& run) {
     try {
-      return Noise{item_of_run(asked_.runs / (run + "#1")), fmt::format("run {}", run)};
+      return Noise{item_of_run(asked_.runs / (run + "#1")), Message("run {run}", run)};
     } catch (const std::exception& error) {
-      warn(fmt::format("The noise of a reading is not known from run {}: {}", run, error.what()));
+      warn(Message("The noise of a reading is not known from run {run}: {why}", run, message_of(error)));
       return std::nullopt;
     }
   }
@@ -227,16 +238,19 @@ class Form {
       json_["predicted"].push_back({{"symbol", symbol_of(output)},
                                     {"standard_uncertainty", json_number(plan.u[group])},
                                     {"unit", unit_of(output)},
-                                    {"largest_part", plan.limits[group].name},
+                                    {"largest_part", plan.limits[group].name.english()},
+                                    {"messages", messages_json({plan.limits[group].name})},
                                     {"share", json_number(plan.limits[group].share)}});
     }
-    json_["noise"] = {{"value", noise->item.noise}, {"source", noise->source}};
+    json_["noise"] = {{"value", noise->item.noise},
+                      {"source", noise->source.english()},
+                      {"messages", messages_json({noise->source})}};
   }
 
   void add_check() {
     json_["last_check"] = nullptr;
     const auto check = last_check(asked_.runs, asked_.bench_file);
-    if (!check) return warn("This bench has not been checked from the console yet.");
+    if (!check) return warn(Message("This bench has not been checked from the console yet."));
     const bool outdated = check->utc < format_utc(now_ - kCheckHolds);
     json_["last_check"] = {{"utc", check->utc},
                            {"by", check->by},
@@ -246,8 +260,8 @@ class Form {
                            {"problems", check->problems},
                            {"outdated", outdated}};
     if (check->problems > 0)
-      warn(fmt::format("The last check of this bench found {} problems.", check->problems));
-    if (outdated) warn(fmt::format("The last check of this bench is older than {} h.", kCheckHolds.count()));
+      warn(Message("The last check of this bench found {problems} problems.", check->problems));
+    if (outdated) warn(Message("The last check of this bench is older than {hours} h.", kCheckHolds.count()));
   }
 
   /// The record of the stage: its age, how long it is good for, and whether the last run agreed with it.
@@ -261,17 +275,17 @@ class Form {
         {"file", config.stage.record}, {"learned_utc", record.learned_utc()}, {"runs", record.runs()},
         {"age_months", age},           {"validity_months", validity},         {"last_run", nullptr}};
     if (age > validity)
-      warn(fmt::format(
-          "The record of the stage is {:.1f} months old and good for {:.1f}: learn the stage again "
-          "(abcal stage learn).",
-          age, validity));
+      warn(
+          Message("The record of the stage is {age:.1f} months old and good for {validity:.1f}: learn the "
+                  "stage again (abcal stage learn).",
+                  age, validity));
     const std::optional<Json> last = last_test(config, record.sha256);
     if (!last) return;
     shown["last_run"] = *last;
     if (!last->at("agrees"))
-      warn(fmt::format(
-          "Run {} contradicts the record of the stage: learn the stage again (abcal stage learn).",
-          last->at("name").get<std::string>()));
+      warn(
+          Message("Run {run} contradicts the record of the stage: learn the stage again (abcal stage learn).",
+                  last->at("name").get<std::string>()));
   }
 
   /// Whether the newest complete run on this bench agrees with this record; nullopt if it did not use it.
@@ -293,7 +307,7 @@ class Form {
   RunLibrary& library_;
   Clock::UtcTime now_;
   Json json_ = Json::object();
-  std::vector<std::string> warnings_, problems_;
+  std::vector<Message> warnings_, problems_;
 };
 
 }  // namespace

@@ -35,7 +35,7 @@ struct SteeredRun::Impl {
     return {[this](std::string_view json) { see(nlohmann::json::parse(json)); },
             [this](std::string_view json) { see(nlohmann::json::parse(json)); },
             [this](const nlohmann::json& reply) { see_reply(reply); },
-            [this](BenchState now, const std::string& words) { see_state(now, words); },
+            [this](BenchState now, const Message& words) { see_state(now, words); },
             [this](bool) { change([this] { ended = true; }); }};
   }
 
@@ -77,7 +77,7 @@ struct SteeredRun::Impl {
     });
   }
 
-  void see_state(BenchState now, const std::string& words) {
+  void see_state(BenchState now, const Message& words) {
     change([&] {
       on = now == BenchState::kOn;
       if (now == BenchState::kGone) gone = words;
@@ -89,7 +89,7 @@ struct SteeredRun::Impl {
   void wait(const Have& have, const std::stop_token& stop) {
     std::unique_lock lock(mutex);
     const auto done = [&] { return have() || !gone.empty(); };
-    if (!changed.wait(lock, stop, done)) throw RunInterrupted("interrupted");
+    if (!changed.wait(lock, stop, done)) throw RunInterrupted(Message("interrupted"));
     if (!have()) throw std::runtime_error(gone);
   }
 

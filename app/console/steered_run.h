@@ -24,7 +24,7 @@ struct RunEnd {
 /// thread.
 class SteeredRun {
  public:
-  /// Called with each message of the bench (docs/console.md), in a thread of its own, until close().
+  /// Called with each message of the bench (docs/console_programs.md), in a thread of its own, until close().
   using Listener = std::function<void(const nlohmann::json& message)>;
 
   /// Finds or starts the process, and waits until it answers.

@@ -117,8 +117,7 @@ TlsIdentity read_tls_identity(const std::filesystem::path& certificate, const st
   if (!parsed)
     throw std::invalid_argument(
         fmt::format("--tls-certificate {}: no X.509 certificate; required: PEM, the console's own first, "
-                    "then those up to "
-                    "its authority",
+                    "then those up to its authority",
                     certificate.string()));
   const OpensslKey parsed_key = tls_key(identity.key_pem);
   if (!parsed_key)

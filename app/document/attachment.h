@@ -1,6 +1,9 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
 
 namespace abcal {
 
@@ -15,5 +18,8 @@ struct Attachment {
   std::filesystem::path file;
   AttachmentKind kind = AttachmentKind::kSupplement;
 };
+
+/// The options of abcal-pdf that attach a file.
+std::vector<std::string> attachment_options(const std::optional<Attachment>& attachment);
 
 }  // namespace abcal

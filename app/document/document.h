@@ -5,10 +5,13 @@
 #include <variant>
 #include <vector>
 
+#include "app/document/drawing.h"
+
 namespace abcal {
 
-// A report as content without form: written once, shown on a terminal (document_text.h) and as a page
-// (document_html.h). Texts are plain: they are made safe for HTML where HTML is written.
+// A report as content without form: written once, shown on a terminal (document_text.h), as a page
+// (document_html.h) and as pages of paper (document_pdf.h). Texts are plain: they are made safe for HTML
+// where HTML is written.
 
 /// A sentence or several.
 struct Paragraph {
@@ -35,7 +38,8 @@ enum class CellKind {
   kText,
   kSymbol,  ///< "s_ux", "phi_uv": the part after "_" is an index.
   kNumber,
-  kUnit,  ///< "g/g_loc", "degree", "m/s2"
+  kUnit,    ///< "g/g_loc", "degree", "m/s2"
+  kLimits,  ///< "0.98 to 1.02 g/g_loc": numbers with a unit, on several lines where they are long.
 };
 
 struct Column {
@@ -53,11 +57,10 @@ struct DocumentTable {
   bool dense = false;      ///< Many narrow columns: little room between them.
 };
 
-/// A figure, drawn by gnuplot from a script without terminal and output. Pages only.
+/// A picture with its words. Pages only.
 struct Figure {
   std::string caption;
-  std::string script;
-  int height = 300;  ///< Height of a picture that is 800 wide.
+  Drawing drawing;
 };
 
 using Block = std::variant<Paragraph, BulletList, FactList, SideBySide, DocumentTable, Figure>;
@@ -77,6 +80,7 @@ struct Document {
   std::string subtitle;
   std::string identification;  ///< Identification of run and item; on every page.
   std::string origin;          ///< Program and time; on every page.
+  std::string created_utc;     ///< ISO 8601; empty: no date.
   /// Warnings shown before anything else, in large letters.
   std::vector<std::string> cautions;
   /// A word across every page ("DRAFT"); empty for none.

@@ -7,29 +7,19 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstdio>
-#include <cstring>
 #include <functional>
-#include <map>
 #include <memory>
-#include <numbers>
-#include <optional>
-#include <set>
-#include <stdexcept>
+#include <new>
 #include <string_view>
 
-#include "app/document/gnuplot.h"
+#include "app/document/drawing_svg.h"
 #include "app/document/number_text.h"
+#include "app/document/page_text.h"
 #include "app/document/valid_text.h"
 #include "app/formats/xml_tree.h"
-#include "app/system/child_process.h"
 
 namespace abcal {
 namespace {
-
-std::string_view text_of(const xmlChar* text) {
-  return text != nullptr ? reinterpret_cast<const char*>(text) : "";
-}
 
 // --- Style -------------------------------------------------------------------------------------------------
 
@@ -114,14 +104,6 @@ std::string page_number(const std::string& words) {
 }
 
 std::string page_style(const Document& document) {
-  // The text before the colon of each caution: "Not complete".
-  std::string cautions = document.page_mark;
-  for (const std::string& caution : document.cautions) {
-    const std::string word = caution.substr(0, caution.find(':'));
-    if (word != document.page_mark) cautions += (cautions.empty() ? "" : " · ") + word;
-  }
-  std::transform(cautions.begin(), cautions.end(), cautions.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
   const auto box = [](const char* place, const std::string& content, const char* more) {
     return fmt::format(
         "  @{} {{ content: {}; font-family: \"DejaVu Sans\", sans-serif; font-size: 8pt; {} }}\n", place,
@@ -130,220 +112,9 @@ std::string page_style(const Document& document) {
   constexpr const char* kGrey = "color: #505050;";
   return "@page {\n  size: A4;\n  margin: 20mm 15mm 17mm 15mm;\n" +
          box("top-left", css_string(document.identification), kGrey) +
-         box("top-right", css_string(cautions), "color: #b00020; font-weight: 700;") +
+         box("top-right", css_string(margin_cautions(document)), "color: #b00020; font-weight: 700;") +
          box("bottom-left", css_string(document.origin), kGrey) +
          box("bottom-right", page_number(document.page_words), kGrey) + "}\n";
-}
-
-// --- Pictures ----------------------------------------------------------------------------------------------
-
-std::string value_of(const xmlNode* node, const char* attribute) {
-  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetProp(node, as_xml(attribute)), xmlFree);
-  return std::string(text_of(value.get()));
-}
-
-bool is(const xmlNode* node, const char* name) {
-  return node != nullptr && text_of(node->name) == name;
-}
-
-/// Several pictures on one page: gnuplot gives each the same ids, so each gets a prefix of its own, where an
-/// id is given and where it is referred to ("#gpDot", "url(#greybox)").
-void prefix_ids(xmlNode* node, const std::string& prefix) {
-  for (xmlAttr* attribute = node->properties; attribute != nullptr; attribute = attribute->next) {
-    const std::unique_ptr<xmlChar, decltype(xmlFree)> content(
-        xmlNodeListGetString(node->doc, attribute->children, 1), xmlFree);
-    std::string value(text_of(content.get()));
-    const std::string_view name = text_of(attribute->name);
-    if (name == "id") {
-      value = prefix + value;
-    } else if (name == "href" && value.starts_with('#')) {
-      value = "#" + prefix + value.substr(1);
-    } else if (const std::size_t at = value.find("url(#"); at != std::string::npos) {
-      value.insert(at + std::strlen("url(#"), prefix);
-    } else {
-      continue;
-    }
-    xmlSetNsProp(node, attribute->ns, attribute->name, as_xml(value.c_str()));
-  }
-}
-
-/// gnuplot draws a mark in the colour of the place of its use ("currentColor"), on which WeasyPrint fails.
-/// The place of use gets this colour as its stroke, for a filled mark as its fill, which all readers of SVG
-/// inherit alike.
-class MarkColours {
- public:
-  void set(xmlNode* node) {
-    if (is(node->parent, "defs")) {
-      if (value_of(node, "stroke") == kColour) xmlUnsetProp(node, as_xml("stroke"));
-      if (value_of(node, "fill") != kColour) return;
-      xmlUnsetProp(node, as_xml("fill"));
-      filled_.insert("#" + value_of(node, "id"));
-      return;
-    }
-    const std::string colour = value_of(node, "color");
-    if (!is(node, "use") || colour.empty()) return;
-    xmlSetProp(node, as_xml("stroke"), as_xml(colour.c_str()));
-    if (filled_.contains(value_of(node, "href"))) xmlSetProp(node, as_xml("fill"), as_xml(colour.c_str()));
-  }
-
- private:
-  static constexpr const char* kColour = "currentColor";
-  std::set<std::string> filled_;  // The definitions precede their use.
-};
-
-/// Where and how large a mark is drawn: "translate(12.5,7) scale(1.65)".
-struct Placed {
-  double x = 0.0, y = 0.0, scale = 0.0;
-};
-
-std::optional<Placed> placed(const std::string& transform) {
-  Placed at;
-  char rest = '\0';
-  if (std::sscanf(transform.c_str(), "translate(%lf,%lf) scale(%lf%c", &at.x, &at.y, &at.scale, &rest) != 4 ||
-      rest != ')')
-    return std::nullopt;
-  return at;
-}
-
-/// The outline of a mark of gnuplot as a path; nothing for one that the figures do not use.
-std::optional<std::string> outline(std::string_view mark, const Placed& at) {
-  const auto& [x, y, s] = at;
-  if (mark == "gpPt5" || mark == "gpPt6")
-    return fmt::format("M{0:.2f},{1:.2f}a{2:.2f},{2:.2f} 0 1 0 {3:.2f},0a{2:.2f},{2:.2f} 0 1 0 {4:.2f},0z",
-                       x - s, y, s, 2.0 * s, -2.0 * s);
-  if (mark == "gpPt8")
-    return fmt::format("M{:.2f},{:.2f}l{:.2f},{:.2f}h{:.2f}z", x, y - 1.33 * s, -1.33 * s, 2.0 * s, 2.66 * s);
-  if (mark == "gpPt12") {
-    const double half = std::numbers::sqrt2 * s;
-    return fmt::format("M{:.2f},{:.2f}l{:.2f},{:.2f}l{:.2f},{:.2f}l{:.2f},{:.2f}z", x, y - half, half, half,
-                       -half, half, -half, -half);
-  }
-  return std::nullopt;
-}
-
-/// Every mark is an element of its own, and WeasyPrint takes a millisecond for each: marks that follow one
-/// another become one path.
-void join_marks(xmlNode* first) {
-  const std::string href = value_of(first, "href"), colour = value_of(first, "color");
-  const std::string mark = href.substr(std::min(href.size(), href.rfind('_') + 1));
-  std::string path;
-  std::vector<xmlNode*> joined;
-  for (xmlNode* node = first; is(node, "use"); node = node->next) {
-    const auto at = placed(value_of(node, "transform"));
-    if (!at || value_of(node, "href") != href || value_of(node, "color") != colour) break;
-    const auto one = outline(mark, *at);
-    if (!one) return;
-    path += *one;
-    joined.push_back(node);
-  }
-  if (joined.size() < 2) return;
-  const bool open = mark == "gpPt5";
-  xmlNode* drawn = xmlNewDocNode(first->doc, first->ns, as_xml("path"), nullptr);
-  xmlNewProp(drawn, as_xml("d"), as_xml(path.c_str()));
-  xmlNewProp(drawn, as_xml("stroke"), as_xml(open ? colour.c_str() : "none"));
-  xmlNewProp(drawn, as_xml("fill"), as_xml(open ? "none" : colour.c_str()));
-  if (open) xmlNewProp(drawn, as_xml("stroke-width"), as_xml("0.4"));
-  xmlAddPrevSibling(first, drawn);
-  for (xmlNode* node : joined) {
-    xmlUnlinkNode(node);
-    xmlFreeNode(node);
-  }
-}
-
-/// join_marks() for a whole picture, in which the marks of one plot follow each other.
-void join_all_marks(xmlNode* node) {
-  for (xmlNode* child = node->children; child != nullptr;) {
-    xmlNode* before = child->prev;
-    if (is(child, "use") && !value_of(child, "color").empty()) join_marks(child);
-    // The child may be gone; its replacement follows the node before it.
-    xmlNode* now = before != nullptr ? before->next : node->children;
-    if (now->type == XML_ELEMENT_NODE && !is(now, "use")) join_all_marks(now);
-    child = now->next;
-  }
-}
-
-void remove(xmlNode* node) {
-  xmlUnlinkNode(node);
-  xmlFreeNode(node);
-}
-
-/// Whether a group has only attributes that its children inherit; false for a clipping or an id.
-bool only_hands_down(const xmlNode* group) {
-  static const std::set<std::string_view> kHandedDown{"fill",         "color",          "stroke",
-                                                      "stroke-width", "stroke-linecap", "stroke-linejoin",
-                                                      "font-family",  "font-size",      "text-anchor"};
-  const bool is_alone = group->children != nullptr && group->children->next == nullptr;
-  for (const xmlAttr* attribute = group->properties; attribute != nullptr; attribute = attribute->next) {
-    const std::string_view name = text_of(attribute->name);
-    // The transformation of a group moves to its only child if that has none.
-    if (name == "transform" && is_alone && !is(group->children, "g") &&
-        value_of(group->children, "transform").empty())
-      continue;
-    if (!kHandedDown.contains(name)) return false;
-  }
-  return true;
-}
-
-/// gnuplot wraps each line and word into groups of its own, and leaves hundreds of empty ones; the time of
-/// WeasyPrint grows with the number of elements. The attributes of a group are written to its children, which
-/// replace it.
-void unwrap_groups(xmlNode* node) {
-  for (xmlNode* child = node->children; child != nullptr;) {
-    xmlNode* next = child->next;
-    if (child->type == XML_ELEMENT_NODE) unwrap_groups(child);
-    if (is(child, "title") || is(child, "desc") || (is(child, "g") && xmlChildElementCount(child) == 0)) {
-      remove(child);
-    } else if (is(child, "g") && only_hands_down(child)) {
-      while (xmlNode* inner = child->children) {
-        if (inner->type == XML_ELEMENT_NODE)
-          for (const xmlAttr* attribute = child->properties; attribute != nullptr;
-               attribute = attribute->next)
-            if (xmlHasProp(inner, attribute->name) == nullptr)
-              xmlNewProp(inner, attribute->name,
-                         as_xml(value_of(child, reinterpret_cast<const char*>(attribute->name)).c_str()));
-        xmlAddPrevSibling(child, inner);
-      }
-      remove(child);
-    }
-    child = next;
-  }
-}
-
-/// Lines of the frame and its grid are grey; data have colours.
-bool is_frame(const xmlNode* node) {
-  int red = 0, green = 1, blue = 2;
-  return is(node, "path") &&
-         std::sscanf(value_of(node, "stroke").c_str(), "rgb(%d, %d, %d)", &red, &green, &blue) == 3 &&
-         red == green && green == blue && value_of(node, "transform").empty();
-}
-
-/// All lines of the frame that are drawn alike become one path.
-void join_frame(xmlNode* parent, std::map<std::string, xmlNode*>& joined) {
-  for (xmlNode* child = parent->children; child != nullptr;) {
-    xmlNode* next = child->next;
-    if (is(child, "g")) join_frame(child, joined);
-    if (is_frame(child)) {
-      std::string drawn;
-      for (const char* name : {"stroke", "stroke-width", "stroke-dasharray", "fill", "stroke-linecap"})
-        drawn += value_of(child, name) + "|";
-      const auto [place, is_first] = joined.emplace(drawn, child);
-      if (!is_first) {
-        const std::string lines = value_of(place->second, "d") + value_of(child, "d");
-        xmlSetProp(place->second, as_xml("d"), as_xml(lines.c_str()));
-        remove(child);
-      }
-    }
-    child = next;
-  }
-}
-
-void prepare_picture(xmlNode* node, const std::string& prefix, MarkColours& marks) {
-  for (; node != nullptr; node = node->next) {
-    if (node->type != XML_ELEMENT_NODE) continue;
-    prefix_ids(node, prefix);
-    marks.set(node);
-    prepare_picture(node->children, prefix, marks);
-  }
 }
 
 // --- The page ----------------------------------------------------------------------------------------------
@@ -356,22 +127,11 @@ const char* css_class(CellKind kind) {
       return "symbol";
     case CellKind::kUnit:
       return "unit";
+    case CellKind::kLimits:
     case CellKind::kText:
       break;
   }
   return nullptr;
-}
-
-/// A word that may be broken anywhere, since it could be wider than the page. For other cells the style does
-/// not allow it: WeasyPrint would need half as long again.
-bool has_long_word(const std::string& text) {
-  constexpr std::size_t kLong = 24;
-  std::size_t length = 0;
-  for (const char c : text) {
-    length = c == ' ' ? 0 : length + 1;
-    if (length > kLong) return true;
-  }
-  return false;
 }
 
 class PageBuilder {
@@ -382,7 +142,7 @@ class PageBuilder {
     xmlCreateIntSubset(document_.get(), as_xml("html"), nullptr, nullptr);
   }
 
-  HtmlPage build() {
+  std::string build() {
     xmlNode* html = xmlNewDocNode(document_.get(), nullptr, as_xml("html"), nullptr);
     xmlDocSetRootElement(document_.get(), html);
     attribute(html, "lang", content_.language);
@@ -394,14 +154,12 @@ class PageBuilder {
     for (const std::string& caution : content_.cautions) add(body, "p", "caution", typeset_numbers(caution));
     for (const Section& section : content_.sections)
       blocks(add(body, "section", section.on_new_page ? "new-page" : nullptr), section);
-    page_.html = serialised([this](xmlOutputBuffer* buffer) {
+    return serialised([this](xmlOutputBuffer* buffer) {
       htmlDocContentDumpFormatOutput(buffer, document_.get(), "UTF-8", 0);
     });
-    return std::move(page_);
   }
 
-  std::string build_part(const std::string& figure_prefix) {
-    figure_prefix_ = figure_prefix;
+  std::string build_part() {
     xmlNode* part = xmlNewDocNode(document_.get(), nullptr, as_xml("div"), nullptr);
     xmlDocSetRootElement(document_.get(), part);
     for (const Section& section : content_.sections) blocks(part, section);
@@ -471,8 +229,7 @@ class PageBuilder {
   }
 
   void block(xmlNode* part, const DocumentTable& content) {
-    constexpr std::size_t kFitsOnAPage = 30;
-    const bool whole = !content.may_break && content.rows.size() <= kFitsOnAPage;
+    const bool whole = stays_whole(content);
     // WeasyPrint breaks after a first row whose second does not fit, in spite of the style.
     if (!whole) add(part, "div", "room");
     xmlNode* table = add(part, "table",
@@ -480,24 +237,17 @@ class PageBuilder {
                          : content.dense ? "dense"
                                          : nullptr);
     if (!content.caption.empty())
-      cell_text(add(table, "caption"),
-                content.caption_kind == CellKind::kText ? typeset_numbers(content.caption) : content.caption,
-                content.caption_kind);
+      cell_text(add(table, "caption"), caption_text(content), content.caption_kind);
     xmlNode* heading = add(add(table, "thead"), "tr");
     for (const Column& column : content.columns) {
-      // "s_ux" above a column of numbers.
-      const bool is_symbol =
-          column.heading.find('_') != std::string::npos && column.heading.find(' ') == std::string::npos;
       cell_text(add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr), column.heading,
-                is_symbol ? CellKind::kSymbol : CellKind::kText);
+                heading_kind(column));
     }
-    // The last rows stay together, so that none is alone on the next page.
-    constexpr std::size_t kTogether = 3;
     const std::size_t rows = content.rows.size();
     xmlNode* body = nullptr;
     for (std::size_t r = 0; r < rows; ++r) {
       const std::vector<std::string>& cells = content.rows[r];
-      const bool ends = !whole && r > 0 && r + kTogether == rows;
+      const bool ends = !whole && r > 0 && r + kLastRowsTogether == rows;
       if (r == 0 || ends) body = add(table, "tbody", ends ? "together" : nullptr);
       xmlNode* row = add(body, "tr");
       if (cells.size() == 1) {
@@ -506,9 +256,7 @@ class PageBuilder {
         attribute(group, "colspan", std::to_string(content.columns.size()));
         continue;
       }
-      if (cells.size() > content.columns.size())
-        throw std::logic_error(fmt::format("a row of {} cells, \"{}\", stands below a heading of {}",
-                                           cells.size(), cells.front(), content.columns.size()));
+      require_columns(content, cells);
       for (std::size_t c = 0; c < cells.size(); ++c) {
         const CellKind kind = content.columns[c].kind;
         const char* css = kind == CellKind::kText && has_long_word(cells[c]) ? "long" : css_class(kind);
@@ -519,62 +267,14 @@ class PageBuilder {
 
   void block(xmlNode* part, const Figure& figure) {
     xmlNode* node = add(part, "figure");
-    try {
-      add_picture(node, figure);
-    } catch (const ProgramMissing& missing) {
-      add(node, "p", "missing", fmt::format("No figure here: {}", missing.what()));
-      if (page_.warnings.empty())
-        page_.warnings.push_back(fmt::format("the page has no figures: {}", missing.what()));
-    }
+    add_svg(node, figure.drawing, figure.caption);
     add(node, "figcaption", nullptr,
         fmt::format(fmt::runtime(content_.figure_words), ++figures_, figure.caption));
   }
 
-  void add_picture(xmlNode* node, const Figure& figure) {
-    const std::string svg = draw_svg(figure);
-    const XmlDocument drawn(xmlReadMemory(svg.data(), static_cast<int>(svg.size()), "figure.svg", nullptr,
-                                          XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOBLANKS));
-    xmlNode* root = drawn ? xmlDocGetRootElement(drawn.get()) : nullptr;
-    if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
-    MarkColours marks;
-    prepare_picture(root, fmt::format("{}{}_", figure_prefix_, figures_ + 1), marks);
-    join_all_marks(root);
-    unwrap_groups(root);
-    std::map<std::string, xmlNode*> joined;
-    join_frame(root, joined);
-    xmlSetProp(root, as_xml("role"), as_xml("img"));
-    xmlSetProp(root, as_xml("aria-label"), as_xml(valid_text(figure.caption).c_str()));
-    xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);
-    if (copy == nullptr) throw std::bad_alloc();
-    xmlAddChild(node, copy);
-  }
-
-  /// "s_ux" with its index below, Greek letters, "°" and "²".
   void cell_text(xmlNode* node, const std::string& text, CellKind kind) {
-    if (kind == CellKind::kNumber) return add_text(node, typeset_numbers(text));
-    if (kind != CellKind::kSymbol && kind != CellKind::kUnit) return add_text(node, text);
-    std::string_view rest = text;
-    while (!rest.empty()) {
-      const std::size_t at = std::min(rest.find('_'), rest.size());
-      add_text(node, with_signs(rest.substr(0, at)));
-      rest.remove_prefix(std::min(at + 1, rest.size()));
-      if (rest.empty()) break;
-      const auto end =
-          std::find_if(rest.begin(), rest.end(), [](unsigned char c) { return std::isalnum(c) == 0; });
-      const auto length = static_cast<std::size_t>(end - rest.begin());
-      add(node, "sub", nullptr, with_signs(rest.substr(0, length)));
-      rest.remove_prefix(length);
-    }
-  }
-
-  static std::string with_signs(std::string_view text) {
-    std::string result(text);
-    for (const auto& [word, sign] :
-         {std::pair{"phi", "φ"}, {"degree", "°"}, {"m/s2", "m/s²"}, {"g2", "g²"}, {"^2", "²"}, {"^3", "³"}}) {
-      if (const std::size_t at = result.find(word); at != std::string::npos)
-        result.replace(at, std::strlen(word), sign);
-    }
-    return result;
+    for (const TextRun& run : cell_runs(text, kind))
+      run.is_index ? static_cast<void>(add(node, "sub", nullptr, run.text)) : add_text(node, run.text);
   }
 
   static std::string serialised(const std::function<void(xmlOutputBuffer*)>& write) {
@@ -588,22 +288,20 @@ class PageBuilder {
 
   const Document& content_;
   XmlDocument document_;
-  HtmlPage page_;
-  std::string figure_prefix_ = "f";
   int figures_ = 0;
 };
 
 }  // namespace
 
-HtmlPage document_html(const Document& document) {
+std::string document_html(const Document& document) {
   return PageBuilder(document).build();
 }
 
-std::string embedded_html(const Section& section, const std::string& figure_prefix) {
+std::string embedded_html(const Section& section) {
   Document document;
   document.figure_words = "{1}";
   document.sections.push_back(section);
-  return PageBuilder(document).build_part(figure_prefix);
+  return PageBuilder(document).build_part();
 }
 
 }  // namespace abcal

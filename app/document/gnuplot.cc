@@ -54,24 +54,23 @@ void draw_file(const std::string& script, const std::filesystem::path& output) {
     throw std::runtime_error(fmt::format("gnuplot wrote no {}", output.string()));
 }
 
-std::string draw_svg(const Figure& figure) {
+std::string draw_svg(const std::string& script, int height) {
   const TemporaryFolder folder;
-  const std::filesystem::path script = folder / "figure.gp", picture = folder / "figure.svg";
+  const std::filesystem::path path = folder / "figure.gp", picture = folder / "figure.svg";
   {
-    std::ofstream file(script);
+    std::ofstream file(path);
     file << fmt::format(
         "set terminal svg size 800,{} font 'DejaVu Sans,13' noenhanced background 'white'\nset output {}\n",
-        figure.height, gnuplot_quoted(picture.string()));
-    file << figure.script << "\nunset output\n";
-    if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", script.string()));
+        height, gnuplot_quoted(picture.string()));
+    file << script << "\nunset output\n";
+    if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", path.string()));
   }
-  if (run_tool(kGnuplot, {kNoStartupFiles, script.string()}, ToolOutput::kShown, kLongestDrawing) != 0)
-    throw std::runtime_error(fmt::format("gnuplot failed to draw \"{}\"", figure.caption));
+  if (run_tool(kGnuplot, {kNoStartupFiles, path.string()}, ToolOutput::kShown, kLongestDrawing) != 0)
+    throw std::runtime_error("gnuplot failed to draw a figure");
   std::ifstream file(picture, std::ios::binary);
   std::ostringstream svg;
   svg << file.rdbuf();
-  if (!file || svg.str().empty())
-    throw std::runtime_error(fmt::format("gnuplot drew nothing for \"{}\"", figure.caption));
+  if (!file || svg.str().empty()) throw std::runtime_error("gnuplot drew nothing");
   return svg.str();
 }
 

@@ -3,7 +3,6 @@
 #include <filesystem>
 #include <string>
 
-#include "app/document/document.h"
 #include "app/system/child_process.h"
 
 namespace abcal {
@@ -23,8 +22,8 @@ void run_gnuplot(const std::filesystem::path& script);
 /// @throws as run_gnuplot(); std::runtime_error if the script cannot be written, or made no such file
 void draw_file(const std::string& script, const std::filesystem::path& output);
 
-/// The picture of a figure as SVG, 800 wide.
+/// The picture of a script without terminal and output as SVG, 800 wide.
 /// @throws ProgramMissing, std::runtime_error
-std::string draw_svg(const Figure& figure);
+std::string draw_svg(const std::string& script, int height);
 
 }  // namespace abcal

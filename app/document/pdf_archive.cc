@@ -45,20 +45,8 @@ std::string escaped(const std::string& text) {
   return reinterpret_cast<const char*>(safe.get());
 }
 
-/// XMP metadata (ISO 16684-1). PDF/A requires a description of the schema of PDF/UA.
-std::string metadata(const std::string& title, const std::string& producer) {
-  return fmt::format(R"(<?xpacket begin="{}" id="W5M0MpCehiHzreSzNTczkc9d"?>
-<x:xmpmeta xmlns:x="adobe:ns:meta/">
-<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
-<rdf:Description rdf:about="" xmlns:dc="http://purl.org/dc/elements/1.1/" xmlns:pdf="http://ns.adobe.com/pdf/1.3/"
- xmlns:pdfaid="http://www.aiim.org/pdfa/ns/id/" xmlns:pdfuaid="http://www.aiim.org/pdfua/ns/id/"
- xmlns:pdfaExtension="http://www.aiim.org/pdfa/ns/extension/" xmlns:pdfaSchema="http://www.aiim.org/pdfa/ns/schema#"
- xmlns:pdfaProperty="http://www.aiim.org/pdfa/ns/property#">
-<dc:title><rdf:Alt><rdf:li xml:lang="x-default">{}</rdf:li></rdf:Alt></dc:title>
-<pdf:Producer>{}</pdf:Producer>
-<pdfaid:part>3</pdfaid:part>
-<pdfaid:conformance>B</pdfaid:conformance>
-<pdfuaid:part>1</pdfuaid:part>
+/// The identification of PDF/UA-1. PDF/A requires a description of its schema.
+constexpr const char* kPdfUa = R"(<pdfuaid:part>1</pdfuaid:part>
 <pdfaExtension:schemas><rdf:Bag><rdf:li rdf:parseType="Resource">
 <pdfaSchema:namespaceURI>http://www.aiim.org/pdfua/ns/id/</pdfaSchema:namespaceURI>
 <pdfaSchema:prefix>pdfuaid</pdfaSchema:prefix>
@@ -69,12 +57,29 @@ std::string metadata(const std::string& title, const std::string& producer) {
 <pdfaProperty:name>part</pdfaProperty:name>
 <pdfaProperty:valueType>Integer</pdfaProperty:valueType>
 </rdf:li></rdf:Seq></pdfaSchema:property>
-</rdf:li></rdf:Bag></pdfaExtension:schemas>
+</rdf:li></rdf:Bag></pdfaExtension:schemas>)";
+
+/// XMP metadata (ISO 16684-1).
+/// @param more  further properties, as XML
+std::string metadata(const std::string& title, const std::string& producer, const std::string& more) {
+  return fmt::format(R"(<?xpacket begin="{}" id="W5M0MpCehiHzreSzNTczkc9d"?>
+<x:xmpmeta xmlns:x="adobe:ns:meta/">
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="" xmlns:dc="http://purl.org/dc/elements/1.1/" xmlns:pdf="http://ns.adobe.com/pdf/1.3/"
+ xmlns:xmp="http://ns.adobe.com/xap/1.0/"
+ xmlns:pdfaid="http://www.aiim.org/pdfa/ns/id/" xmlns:pdfuaid="http://www.aiim.org/pdfua/ns/id/"
+ xmlns:pdfaExtension="http://www.aiim.org/pdfa/ns/extension/" xmlns:pdfaSchema="http://www.aiim.org/pdfa/ns/schema#"
+ xmlns:pdfaProperty="http://www.aiim.org/pdfa/ns/property#">
+<dc:title><rdf:Alt><rdf:li xml:lang="x-default">{}</rdf:li></rdf:Alt></dc:title>
+<pdf:Producer>{}</pdf:Producer>
+<pdfaid:part>3</pdfaid:part>
+<pdfaid:conformance>B</pdfaid:conformance>
+{}
 </rdf:Description>
 </rdf:RDF>
 </x:xmpmeta>
 <?xpacket end="w"?>)",
-                     "\xEF\xBB\xBF", escaped(title), escaped(producer));
+                     "\xEF\xBB\xBF", escaped(title), escaped(producer), more);
 }
 
 void add_output_intent(QPDF& pdf) {
@@ -90,14 +95,14 @@ void add_output_intent(QPDF& pdf) {
 }
 
 /// Moves title and producer from the information dictionary, which may be absent, to the metadata.
-void add_metadata(QPDF& pdf) {
+void add_metadata(QPDF& pdf, const std::string& more) {
   QPDFObjectHandle info = pdf.getTrailer().getKey("/Info");
   const auto said = [&](const std::string& key) {
     return info.isDictionary() && info.getKey(key).isString() ? info.getKey(key).getUTF8Value()
                                                               : std::string();
   };
   QPDFObjectHandle stream = QPDFObjectHandle::newStream(
-      &pdf, metadata(said("/Title"), said("/Producer") + ", qpdf " + QPDF::QPDFVersion()));
+      &pdf, metadata(said("/Title"), said("/Producer") + ", qpdf " + QPDF::QPDFVersion(), more));
   stream.getDict().replaceKey("/Type", QPDFObjectHandle::newName("/Metadata"));
   stream.getDict().replaceKey("/Subtype", QPDFObjectHandle::newName("/XML"));
   pdf.getRoot().replaceKey("/Metadata", stream);
@@ -123,15 +128,50 @@ void add_attachment(QPDF& pdf, const Attachment& attachment) {
   pdf.getRoot().replaceKey("/AF", QPDFObjectHandle::newArray({file.getObjectHandle()}));
 }
 
+/// Adds what an element of the structure, and those in it, lack.
+/// @param figures, next  descriptions of the figures, and which comes next
+void describe(QPDFObjectHandle element, const std::vector<std::string>& figures, std::size_t& next) {
+  if (element.isArray())
+    for (QPDFObjectHandle& each : element.getArrayAsVector()) describe(each, figures, next);
+  if (!element.isDictionary() || !element.hasKey("/S")) return;
+  const std::string name = element.getKey("/S").getName();
+  if (name == "/Figure" && next < figures.size())
+    element.replaceKey("/Alt", QPDFObjectHandle::newUnicodeString(xml_safe(figures[next++])));
+  if (name == "/TH") {
+    QPDFObjectHandle attributes = QPDFObjectHandle::newDictionary();
+    attributes.replaceKey("/O", QPDFObjectHandle::newName("/Table"));
+    attributes.replaceKey("/Scope", QPDFObjectHandle::newName("/Column"));
+    element.replaceKey("/A", attributes);
+  }
+  describe(element.getKey("/K"), figures, next);
+}
+
+void add_description(QPDF& pdf, const PdfDescription& description) {
+  QPDFObjectHandle root = pdf.getRoot();
+  root.replaceKey("/Lang", QPDFObjectHandle::newUnicodeString(description.language));
+  QPDFObjectHandle preferences = QPDFObjectHandle::newDictionary();
+  preferences.replaceKey("/DisplayDocTitle", QPDFObjectHandle::newBool(true));
+  root.replaceKey("/ViewerPreferences", preferences);
+  std::size_t next = 0;
+  describe(root.getKey("/StructTreeRoot").getKey("/K"), description.figures, next);
+}
+
 }  // namespace
 
-void make_archive(const std::filesystem::path& tagged, const std::filesystem::path& output,
-                  const std::optional<Attachment>& attachment) {
+void make_archive(const std::string& tagged, const std::filesystem::path& output,
+                  const std::optional<Attachment>& attachment,
+                  const std::optional<PdfDescription>& description) {
   QPDF pdf;
   pdf.setSuppressWarnings(true);
-  pdf.processFile(tagged.c_str());
+  pdf.processMemoryFile("pages", tagged.data(), tagged.size());
   add_output_intent(pdf);
-  add_metadata(pdf);
+  std::string more = kPdfUa;
+  if (description) {
+    add_description(pdf, *description);
+    const std::string& date = description->created_utc;
+    more = date.empty() ? "" : fmt::format("<xmp:CreateDate>{}</xmp:CreateDate>", escaped(date));
+  }
+  add_metadata(pdf, more);
   if (attachment) add_attachment(pdf, *attachment);
   // The order of tabulators follows the tags (ISO 14289-1, 7.18.3).
   for (QPDFPageObjectHelper& page : QPDFPageDocumentHelper(pdf).getAllPages())

@@ -27,9 +27,8 @@ void PdfPrinter::print(const std::string& html, const std::filesystem::path& pdf
     throw std::runtime_error(
         fmt::format("weasyprint failed with exit code {}: {}", result.exit_code, result.words));
   std::vector<std::string> arguments{"finish", (folder_ / "tagged.pdf").string(), pdf.string()};
-  if (attachment)
-    arguments.insert(arguments.end(), {attachment->kind == AttachmentKind::kData ? "--data" : "--supplement",
-                                       std::filesystem::absolute(attachment->file).string()});
+  const std::vector<std::string> attached = attachment_options(attachment);
+  arguments.insert(arguments.end(), attached.begin(), attached.end());
   run_helper("abcal-pdf", "a PDF is finished by", arguments);
 }
 

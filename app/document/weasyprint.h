@@ -14,9 +14,9 @@ namespace abcal {
 /// WeasyPrint, for require_installed() before anything is written.
 extern const Tool kWeasyPrint;
 
-/// Makes a PDF of a page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure of PDF/A-3
-/// (output intent, metadata, attachments with their relation; by the helper program abcal-pdf). Only a
-/// validator can show whether it conforms to either.
+/// Makes a PDF of a certificate's page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure
+/// of PDF/A-3 (output intent, metadata, attachments with their relation; by the helper program abcal-pdf).
+/// Only a validator can show whether it conforms to either.
 class PdfPrinter {
  public:
   /// Starts WeasyPrint, which takes half a second to load: make one, then the page.

@@ -75,18 +75,17 @@ UnitInDsi per_gravity(const std::string& unit, const std::string& output, double
   in.unit = in.unit * per_acceleration();
   in.factor /= gravity_mps2;
   in.own = DsiUnit(non_si(unit));
-  in.definition =
-      !standard ? Message(
-                      "1 {unit} is a change of the output by 1 {output_unit} for an acceleration of one "
-                      "local gravity, which is among the conditions",
-                      unit, output)
-      : in.unit.text() == "\\one"
-          ? Message(
-                "1 {unit} = {value}, a plain number in SI units (g_n = 9.80665 m/s2, standard gravity, "
-                "exact)",
-                unit, in.factor)
-          : Message("1 {unit} = {value} {in_unit} (g_n = 9.80665 m/s2, standard gravity, exact)", unit,
-                    1.0 / gravity_mps2, TypedUnit{output, PerAcceleration::kSi}.name());
+  in.definition = !standard ? Message(
+                                  "1 {unit} is a change of the output by 1 {output_unit} for an acceleration "
+                                  "of one local gravity, which is among the conditions",
+                                  unit, output)
+                  : in.unit.text() == "\\one"
+                      ? Message(
+                            "1 {unit} = {value}, a plain number in SI units (g_n = 9.80665 m/s2, standard "
+                            "gravity, exact)",
+                            unit, in.factor)
+                      : Message("1 {unit} = {value} {in_unit} (g_n = 9.80665 m/s2, standard gravity, exact)",
+                                unit, 1.0 / gravity_mps2, TypedUnit{output, PerAcceleration::kSi}.name());
   return in;
 }
 

@@ -5,7 +5,7 @@
 #include <string_view>
 #include <utility>
 #include <vector>
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 
 #include "protocol/plan/response_unit.h"
 

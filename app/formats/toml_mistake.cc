@@ -178,6 +178,13 @@ Guess truth(const Line& line) {
                      with_value(line, yes ? "true" : "false")};
 }
 
+Guess comma_at_end(const Line& line) {
+  if (line.value.size() < 2 || !line.value.ends_with(',')) return std::nullopt;
+  const std::string_view value = trimmed(line.value.substr(0, line.value.size() - 1));
+  return TomlMistake{"a comma at the end of the line", "no comma: each key has a line of its own",
+                     with_value(line, std::string(value))};
+}
+
 Guess number(const Line& line) {
   const auto numeral = leading_number(line.value);
   if (!numeral) return std::nullopt;
@@ -220,10 +227,13 @@ Guess text(const Line& line) {
     return c == '"' || c == '\'' || c == '[' || c == ']' || c == '{' || c == '}' || c == '\\' || c == '=';
   });
   if (!is_plain) return std::nullopt;
-  std::string required = "text in quotes";
   if (pieces::lower(value).starts_with("com") && are_digits(value.substr(3)))
-    required += "; serial ports have names such as \"/dev/ttyUSB0\" here: `abcal instruments` lists them";
-  return TomlMistake{"text without quotes", required, with_value(line, fmt::format("\"{}\"", value))};
+    return TomlMistake{
+        "text without quotes",
+        "text in quotes; serial ports have names such as \"/dev/ttyUSB0\" here: `abcal instruments` "
+        "lists them",
+        ""};
+  return TomlMistake{"text without quotes", "text in quotes", with_value(line, fmt::format("\"{}\"", value))};
 }
 
 }  // namespace
@@ -243,7 +253,7 @@ TomlMistake explain_toml_mistake(std::string_view line, std::size_t column, bool
   if (Guess guess = no_value(parts)) return *guess;
   if (Guess guess = separator_of(parts)) return *guess;
   if (is_bare_key(parts.key)) {
-    for (const auto& look : {truth, number, text})
+    for (const auto& look : {comma_at_end, truth, number, text})
       if (Guess guess = look(parts)) return *guess;
   }
   const std::string_view rest = trimmed(line.substr(std::min(column, line.size())));

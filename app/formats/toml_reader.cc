@@ -730,17 +730,26 @@ void TomlReader::read_triple(const toml::node& node, const std::string& where, E
   }
 }
 
+std::string TomlReader::sections_with(const std::string& key) const {
+  std::vector<std::string> sections;
+  for (const auto& [path, keys] : known_)
+    if (!path.empty() && keys.contains(key)) sections.push_back("[" + path + "]");
+  return fmt::format("{}", fmt::join(sections, " or "));
+}
+
 void TomlReader::report_unknown(const toml::table& table, const std::string& path) {
   const std::set<std::string>& known = known_[path];
   for (const auto& [key, node] : table) {
     const std::string word(key.str());
     if (known.contains(word)) continue;
     const std::string meant = meant_key(std::string_view(word).substr(0, kLongestShown), known);
+    const std::string elsewhere = sections_with(word);
     problem_with_guess(key.source(), path.empty() ? word : path + "." + word,
                        {{},
                         node.is_table() ? "a section of this name" : "a key of this name",
-                        meant.empty() ? "one of " + joined({known.begin(), known.end()})
-                                      : "a known key: did you mean \"" + meant + "\"?"},
+                        !meant.empty()       ? "a known key: did you mean \"" + meant + "\"?"
+                        : !elsewhere.empty() ? "this key under " + elsewhere
+                                             : "one of " + joined({known.begin(), known.end()})},
                        word, meant);
   }
 }

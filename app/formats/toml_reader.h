@@ -101,6 +101,8 @@ class TomlReader final : public KeyVisitor {
   void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value,
                    const Range& range);
   void report_unknown(const toml::table& table, const std::string& path);
+  /// The sections that know a key of this name: "[stage.x] or [stage.z]".
+  std::string sections_with(const std::string& key) const;
 
   const toml::table& root_;
   RecordLookup lookup_;

@@ -48,10 +48,7 @@ Comparison compare(const std::vector<std::filesystem::path>& files, const Compar
   options.shared_stage = choices.shared_stage;
   options.any_item = choices.any_item;
   options.group_by = choices.group_by;
-  // The common effect of a stage on two results is known only for the equations of the published protocol.
-  const std::string estimator = choices.estimator.empty() && choices.shared_stage
-                                    ? std::string(::abcal::kPublishedEstimator)
-                                    : choices.estimator;
+  const std::string estimator = ::abcal::estimator_to_compare(choices.estimator, choices.shared_stage);
   const std::vector<std::string> names(files.begin(), files.end());
   return Comparison(std::make_shared<const Comparison::Data>(
       Comparison::Data{::abcal::compare_results(::abcal::load_compared(names, estimator), options)}));

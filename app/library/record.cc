@@ -2,13 +2,14 @@
 #include <fmt/ranges.h>
 
 #include <cmath>
+#include <sstream>
 #include <stdexcept>
 #include <utility>
 
 #include "app/library/data.h"
 #include "app/results/analysis/estimators.h"
 #include "app/results/analysis/load_record.h"
-#include "protocol/estimators/norm/pose_import.h"
+#include "protocol/record/import_table.h"
 #include "protocol/record/imported_dwells.h"
 
 namespace abcal::v1 {
@@ -24,6 +25,13 @@ std::vector<double> numbers_of(const Column& column) {
   std::vector<double> numbers(static_cast<std::size_t>(column.size()));
   for (std::size_t i = 0; i < numbers.size(); ++i) numbers[i] = column[static_cast<Eigen::Index>(i)];
   return numbers;
+}
+
+::abcal::TableOptions options_of(const TableSettings& settings) {
+  return {.columns = settings.columns,
+          .unit = settings.unit,
+          .time_unit = settings.time_unit,
+          .topic = settings.topic};
 }
 
 void set_gravity(const RecordSettings& settings, ::abcal::RunRecord& record) {
@@ -185,7 +193,18 @@ Record load(const std::filesystem::path& path) {
 }
 
 Record load_poses(const std::filesystem::path& path) {
-  return Record(std::make_shared<const Record::Data>(Record::Data{::abcal::import_poses(path).record}));
+  return load(path);
+}
+
+Record load_table(const std::filesystem::path& path, const TableSettings& settings) {
+  return Record(std::make_shared<const Record::Data>(
+      Record::Data{::abcal::load_record(path, 0, options_of(settings)).record}));
+}
+
+Record read_table(const std::string& text, const std::string& source, const TableSettings& settings) {
+  std::istringstream in(text);
+  return Record(std::make_shared<const Record::Data>(
+      Record::Data{::abcal::import_table(in, source, options_of(settings)).record}));
 }
 
 }  // namespace abcal::v1

@@ -8,20 +8,20 @@
 #include <utility>
 
 #include "app/document/document_html.h"
-#include "app/document/gnuplot.h"
 #include "app/library/data.h"
 #include "app/library/no_colours.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/analyses.h"
 #include "app/results/analysis/estimators.h"
 #include "app/results/analysis/result_json.h"
 #include "app/results/analysis/result_text.h"
+#include "app/results/analysis/series_of_runs.h"
 #include "app/results/report/first_page.h"
 #include "app/system/version.h"
 #include "protocol/estimators/checks/comparison.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/plan/limits.h"
 #include "protocol/quantities/quantity_groups.h"
-#include "protocol/record/sha256.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal::v1 {
@@ -196,11 +196,7 @@ std::string Result::to_text() const {
   return ::abcal::result_text(data_->result, no_colours());
 }
 std::string Result::to_html() const {
-  const ::abcal::Section section = ::abcal::result_section(data_->result, data_->nominal_response,
-                                                           ::abcal::is_installed(::abcal::kGnuplot));
-  // Several results in a notebook: the ids of each begin in their own way.
-  constexpr std::size_t kPrefix = 12;
-  return ::abcal::embedded_html(section, "r" + ::abcal::sha256_of(to_json()).substr(0, kPrefix) + "f");
+  return ::abcal::embedded_html(::abcal::result_section(data_->result, data_->nominal_response));
 }
 
 std::vector<std::string> estimators() {
@@ -212,6 +208,17 @@ Result analyse(const Record& record, const std::string& estimator) {
   return public_result(::abcal::analyse(data, estimator.empty() ? ::abcal::declared_estimator(data)
                                                                 : ::abcal::find_estimator(estimator)),
                        data);
+}
+
+std::vector<Result> analyse_measurement(const std::vector<std::filesystem::path>& files) {
+  std::vector<std::string> names;
+  for (const std::filesystem::path& file : files) names.push_back(file.string());
+  const ::abcal::AnalysedRun run = names.size() == 1 ? ::abcal::analyse_file(names.front(), "joint")
+                                                     : ::abcal::analyse_series_of_runs(names, std::nullopt);
+  std::vector<Result> out;
+  for (const ::abcal::AnalysedItem& item : run.items)
+    out.push_back(public_result(item.results.front(), item.stored.record));
+  return out;
 }
 
 Result analyse_joint(const Record& record, const JointChoices& choices) {

@@ -20,6 +20,7 @@
 #include <sstream>
 #include <utility>
 
+#include "app/system/channel.h"
 #include "app/system/descriptor.h"
 #include "app/system/interrupt.h"
 #include "app/system/last_signal.h"
@@ -54,36 +55,18 @@ struct ChildStreams {
   int words = STDERR_FILENO;  ///< Receives both outputs.
 };
 
-std::array<int, 2> ends_of(const Tool& tool, const std::function<int(int*)>& make) {
-  std::array<int, 2> ends{};
-  if (make(ends.data()) != 0)
-    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
-  return ends;
-}
-
 /// Pipe for the output of a program to us.
 struct WordsPipe {
-  explicit WordsPipe(const Tool& tool)
-      : WordsPipe(ends_of(tool, [](int* ends) { return ::pipe2(ends, O_CLOEXEC | O_NONBLOCK); })) {}
-  Descriptor reading, writing;
-
- private:
-  explicit WordsPipe(const std::array<int, 2>& ends) : reading(ends[0]), writing(ends[1]) {
+  explicit WordsPipe(const Tool& tool) {
+    std::array<int, 2> ends{};
+    if (::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0)
+      throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
+    reading = Descriptor(ends[0]);
+    writing = Descriptor(ends[1]);
     // Only our end must not block.
     ::fcntl(writing.number(), F_SETFL, 0);
   }
-};
-
-/// Input of a program. It is a socket, because writing to one whose reader has ended is an error and no
-/// signal.
-struct InputSocket {
-  explicit InputSocket(const Tool& tool)
-      : InputSocket(ends_of(
-            tool, [](int* ends) { return ::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends); })) {}
-  Descriptor ours, theirs;
-
- private:
-  explicit InputSocket(const std::array<int, 2>& ends) : ours(ends[0]), theirs(ends[1]) {}
+  Descriptor reading, writing;
 };
 
 /// Runs in the child between fork and exec: only async-signal-safe calls. Signals get default handling.
@@ -151,9 +134,9 @@ class Child {
       if (wanted[1].revents != 0 && !read_some(words, result.words)) wanted[1].fd = -1;
       if (wanted[2].revents != 0 && !write_some(input)) wanted[2].fd = -1;
       if (last_interrupt_signal() != 0)
-        throw RunInterrupted(fmt::format("interrupted while {} was at work", tool_.program));
+        throw RunInterrupted(Message("interrupted while {program} was at work", tool_.program));
       if (cancelled && cancelled())
-        throw RunInterrupted(fmt::format("cancelled while {} was at work", tool_.program));
+        throw RunInterrupted(Message("cancelled while {program} was at work", tool_.program));
       if (steady_clock::now() > deadline)
         throw std::runtime_error(
             fmt::format("{} took longer than {} s and was ended", tool_.program, longest.count()));
@@ -234,13 +217,17 @@ ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& 
 
 struct ToolAwaitingInput::Running {
   Running(const Tool& tool, const std::vector<std::string>& arguments)
-      : words(tool), input(tool), child(tool, arguments, {input.theirs.number(), words.writing.number()}) {
+      : words(tool),
+        input(channel_pair(ChannelKind::kBytes, tool.program + " cannot be started")),
+        child(tool, arguments, {input.second.number(), words.writing.number()}) {
     words.writing.close();
-    input.theirs.close();
+    input.second.close();
   }
 
   WordsPipe words;
-  InputSocket input;
+  /// Our end and that of the program. It is a socket, because writing to one whose reader has ended is an
+  /// error and no signal.
+  std::pair<Descriptor, Descriptor> input;
   Child child;
 };
 
@@ -252,7 +239,7 @@ ToolAwaitingInput::~ToolAwaitingInput() = default;
 ToolResult ToolAwaitingInput::finish(std::string_view input, std::chrono::seconds longest,
                                      const std::function<bool()>& cancelled) {
   return running_->child.wait(running_->words.reading.number(), longest, cancelled,
-                              {&running_->input.ours, input});
+                              {&running_->input.first, input});
 }
 
 }  // namespace abcal

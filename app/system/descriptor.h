@@ -19,6 +19,8 @@ class Descriptor {
   }
   ~Descriptor() { close(); }
   int number() const { return number_; }
+  /// Gives it away.
+  int release() { return std::exchange(number_, -1); }
   void close() {
     if (number_ >= 0) ::close(number_);
     number_ = -1;

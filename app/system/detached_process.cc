@@ -4,13 +4,13 @@
 #include <fmt/format.h>
 #include <signal.h>
 #include <spawn.h>
-#include <sys/socket.h>
 #include <unistd.h>
 
-#include <array>
-#include <cerrno>
 #include <cstring>
 #include <stdexcept>
+#include <utility>
+
+#include "app/system/channel.h"
 
 extern char** environ;
 
@@ -68,18 +68,9 @@ pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments
 }
 
 ConnectedProcess start_connected(const Tool& tool, const std::vector<std::string>& arguments) {
-  std::array<int, 2> ends{};
-  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
-    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
-  try {
-    const pid_t process = start_detached(tool, arguments, ends[1]);
-    ::close(ends[1]);
-    return {ends[0], process};
-  } catch (...) {
-    ::close(ends[0]);
-    ::close(ends[1]);
-    throw;
-  }
+  auto [ours, theirs] = channel_pair(ChannelKind::kPackets, tool.program + " cannot be started");
+  const pid_t process = start_detached(tool, arguments, theirs.number());
+  return {std::move(ours), process};
 }
 
 }  // namespace abcal

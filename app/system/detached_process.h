@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/system/child_process.h"
+#include "app/system/descriptor.h"
 
 namespace abcal {
 
@@ -15,13 +16,13 @@ namespace abcal {
 /// @throws ProgramMissing, std::runtime_error
 pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments, int descriptor = -1);
 
-/// A detached program and this end of a socket to it (SOCK_SEQPACKET); both belong to the caller.
+/// A detached program, which the caller waits for, and this end of a channel of packets to it.
 struct ConnectedProcess {
-  int socket = -1;
+  Descriptor socket;
   pid_t process = -1;
 };
 
-/// start_detached() with the other end of a socket as the program's descriptor.
+/// start_detached() with the other end of a channel as the program's descriptor.
 /// @throws ProgramMissing, std::runtime_error
 ConnectedProcess start_connected(const Tool& tool, const std::vector<std::string>& arguments = {});
 

@@ -19,6 +19,16 @@ std::filesystem::path& helper_folder() {
   return folder;
 }
 
+void require_success(const std::string& name, const ToolResult& result) {
+  if (result.exit_code == kExitDone) return;
+  constexpr std::string_view kPrefix = "abcal: ";  // The caller that shows the message adds it again.
+  std::string why = result.words;
+  if (why.starts_with(kPrefix)) why.erase(0, kPrefix.size());
+  if (why.empty()) why = fmt::format("{} ended with {} and without a message", name, result.exit_code);
+  if (result.exit_code == kExitUsage) throw std::invalid_argument(why);
+  throw std::runtime_error(why);
+}
+
 }  // namespace
 
 Tool helper_program(const std::string& name, const std::string& needed_by) {
@@ -31,14 +41,13 @@ Tool helper_program(const std::string& name, const std::string& needed_by) {
 
 void run_helper(const std::string& name, const std::string& needed_by,
                 const std::vector<std::string>& arguments, std::chrono::seconds longest) {
-  const ToolResult result = run_tool_for_words(helper_program(name, needed_by), arguments, longest);
-  if (result.exit_code == kExitDone) return;
-  constexpr std::string_view kPrefix = "abcal: ";  // The caller that shows the message adds it again.
-  std::string why = result.words;
-  if (why.starts_with(kPrefix)) why.erase(0, kPrefix.size());
-  if (why.empty()) why = fmt::format("{} ended with {} and without a message", name, result.exit_code);
-  if (result.exit_code == kExitUsage) throw std::invalid_argument(why);
-  throw std::runtime_error(why);
+  require_success(name, run_tool_for_words(helper_program(name, needed_by), arguments, longest));
+}
+
+void run_helper_on(std::string_view input, const std::string& name, const std::string& needed_by,
+                   const std::vector<std::string>& arguments, const std::function<bool()>& cancelled) {
+  ToolAwaitingInput helper(helper_program(name, needed_by), arguments);
+  require_success(name, helper.finish(input, kLongestTool, cancelled));
 }
 
 std::filesystem::path program_data(const std::string& name) {

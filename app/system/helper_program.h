@@ -2,7 +2,9 @@
 
 #include <chrono>
 #include <filesystem>
+#include <functional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/system/child_process.h"
@@ -18,6 +20,12 @@ Tool helper_program(const std::string& name, const std::string& needed_by);
 /// std::runtime_error
 void run_helper(const std::string& name, const std::string& needed_by,
                 const std::vector<std::string>& arguments, std::chrono::seconds longest = kLongestTool);
+
+/// Runs a helper program that reads its standard input. Otherwise as run_helper().
+/// @param cancelled  asked each 0.1 s; true ends the program
+/// @throws as run_helper()
+void run_helper_on(std::string_view input, const std::string& name, const std::string& needed_by,
+                   const std::vector<std::string>& arguments, const std::function<bool()>& cancelled = {});
 
 /// A folder of data that belongs to abcal: in the folder of the running program, or installed in
 /// ../share/abcal from there.

@@ -23,6 +23,11 @@ std::atomic<int>& last_signal() {
   return number;
 }
 
+std::atomic<int>& signals() {
+  static std::atomic<int> count = 0;
+  return count;
+}
+
 sigset_t watched_signals() {
   sigset_t signals;
   sigemptyset(&signals);
@@ -86,6 +91,7 @@ void act_on(int number) {
     }
   }
   last_signal() = number;
+  ++signals();
   source().request_stop();
 }
 
@@ -107,6 +113,10 @@ void watch_for_signals() {
 
 int last_interrupt_signal() {
   return last_signal();
+}
+
+int interrupt_signals() {
+  return signals();
 }
 
 void end_orderly_at_signals() {

@@ -6,6 +6,10 @@
 namespace abcal {
 namespace {
 
+char lower(char c) {
+  return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+}
+
 std::size_t edit_distance(std::string_view a, std::string_view b) {
   std::vector<std::size_t> row(b.size() + 1);
   for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
@@ -24,6 +28,12 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 }  // namespace
 
 std::string nearest_word(std::string_view written, const std::vector<std::string>& words) {
+  // The beginning of one word, such as a maker for its driver.
+  const auto begins = [&](const std::string& word) {
+    return written.size() > 1 && word.size() > written.size() &&
+           std::ranges::equal(written, std::string_view(word).substr(0, written.size()), {}, lower, lower);
+  };
+  if (std::ranges::count_if(words, begins) == 1) return *std::ranges::find_if(words, begins);
   const auto distance = [&](const std::string& word) { return edit_distance(written, word); };
   const auto nearest = std::ranges::min_element(words, {}, distance);
   const bool is_near = nearest != words.end() && distance(*nearest) <= 2 + written.size() / 5 &&

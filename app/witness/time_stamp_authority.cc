@@ -69,8 +69,7 @@ std::optional<std::string> stamp_if_configured(const std::filesystem::path& run)
     return std::nullopt;
   } catch (const std::exception& error) {
     return fmt::format(
-        "{} has no time stamp yet: {}. It is asked for again by `abcal issue`, or by: abcal lab "
-        "timestamp {}",
+        "{} has no time stamp yet: {}. It is asked for again by `abcal issue`, or by: abcal lab timestamp {}",
         run.string(), error.what(), run.string());
   }
 }

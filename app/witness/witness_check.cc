@@ -15,6 +15,7 @@
 #include "app/witness/witness_line.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_operator.h"
 
 namespace abcal {
 namespace {
@@ -28,33 +29,18 @@ double seconds_of(const std::string& utc) {
   return static_cast<double>(::timegm(&time));
 }
 
-/// The dwells that were stored together, one for each item, by their places in the file.
-struct Angle {
-  std::size_t first = 0, last = 0;
-};
-
-std::vector<Angle> angles_of(const std::vector<LinkedDwell>& dwells) {
-  std::vector<Angle> angles;
-  for (std::size_t i = 0; i < dwells.size(); ++i) {
-    const bool is_next_item =
-        i > 0 && dwells[i].position == dwells[i - 1].position && dwells[i].item > dwells[i - 1].item;
-    if (is_next_item)
-      angles.back().last = i;
-    else
-      angles.push_back({i, i});
-  }
-  return angles;
-}
-
 /// Compares the statements with the run, one after the other.
 class Comparison {
  public:
-  Comparison(const RunLinks& links, const Trust& trust)
-      : links_(links), trust_(trust), angles_(angles_of(links.dwells)) {
+  Comparison(const RunLinks& links, const Trust& trust, std::vector<RunOperator> operators)
+      : links_(links), trust_(trust), operators_(std::move(operators)) {
     place_of_[links.head] = 0;
-    for (std::size_t a = 0; a < angles_.size(); ++a) place_of_[links.dwells[angles_[a].last].link] = a + 1;
-    is_signed_.resize(angles_.size());
-    is_too_fast_.resize(angles_.size());
+    for (std::size_t k = 0; k < links.stored.size(); ++k) {
+      place_of_[links.stored[k].link] = k + 1;
+      angles_ += links.stored[k].angles;
+    }
+    is_signed_.resize(links.stored.size());
+    is_too_fast_.resize(links.stored.size());
   }
 
   void add(const WitnessedLine& row) {
@@ -85,12 +71,13 @@ class Comparison {
     WitnessCheck check;
     check.is_simulated = is_simulated_;
     check.signer = signer_;
-    check.angles = angles_.size();
+    check.angles = angles_;
     for (const std::string& problem : problems_) check.checks.push_back({kWhat, false, problem});
     check.words = problems_.empty() ? words() : "contradicts what the witness has signed";
     if (problems_.empty()) check.checks.push_back({kWhat, true, check.words});
     check.is_signed = problems_.empty() && !trust_.keys.empty() && has_begun_ && has_ended_;
-    check.is_witnessed = check.is_signed && !is_simulated_ && not_signed().empty() && too_fast().empty();
+    check.is_witnessed =
+        check.is_signed && !is_simulated_ && angles_of(not_signed()) + angles_of(is_too_fast_) == 0;
     return check;
   }
 
@@ -112,7 +99,7 @@ class Comparison {
     return seconds_of(now.utc) - seconds_of(last_->utc);
   }
 
-  /// @return the number of angles up to a link; nullopt if the run does not have this link
+  /// @return the number of links up to a link; nullopt if the run does not have this link
   std::optional<std::size_t> place_of(const std::string& link) const {
     const auto found = place_of_.find(link);
     return found == place_of_.end() ? std::nullopt : std::optional(found->second);
@@ -124,6 +111,9 @@ class Comparison {
         has_begun_ = true;
         is_simulated_ = is_simulated_ || now.simulated;
         bench_ = now.bench;
+        if (!now.person.empty() &&
+            std::ranges::find(operators_, now.person, &RunOperator::name) == operators_.end())
+          fail(fmt::format("the run was begun by {}, who is not among its operators", now.person));
         place_ = place_of(now.head);
         if (!place_) fail("what stood before the first witnessed angle was changed, or an earlier angle");
         break;
@@ -134,7 +124,7 @@ class Comparison {
         has_ended_ = true;
         if (now.events != links_.closing)
           fail("events, conditions, state or times are not those for which the end of the run was signed");
-        if (place_of(now.now) != angles_.size())
+        if (place_of(now.now) != links_.stored.size())
           fail("the last angle is not the one for which the end of the run was signed");
         break;
       case WitnessAct::kHead:
@@ -149,29 +139,33 @@ class Comparison {
     if (!place_ || place_of(now.previous) != place_ || *place != *place_ + 1)
       return fail(fmt::format("angle {} does not follow on the one that was signed before it", now.k));
     place_ = place;
-    const std::size_t angle = *place - 1;
-    is_signed_[angle] = true;
-    double reading_time_s = 0.0;
-    for (std::size_t i = angles_[angle].first; i <= angles_[angle].last; ++i)
-      reading_time_s = std::max(reading_time_s, links_.dwells[i].reading_time_s);
-    is_too_fast_[angle] = seconds_since_last(now) < kLeastWitnessedTime * reading_time_s;
+    const std::size_t k = *place - 1;
+    is_signed_[k] = true;
+    is_too_fast_[k] = seconds_since_last(now) < kLeastWitnessedTime * links_.stored[k].reading_time_s;
+  }
+
+  /// Number of angles of the plan of the wanted links.
+  std::size_t angles_of(const std::vector<bool>& wanted) const {
+    std::size_t angles = 0;
+    for (std::size_t k = 0; k < wanted.size(); ++k) angles += wanted[k] ? links_.stored[k].angles : 0;
+    return angles;
   }
 
   std::vector<std::string> names(const std::vector<bool>& wanted) const {
     std::vector<std::string> names;
-    for (std::size_t a = 0; a < angles_.size(); ++a) {
-      const LinkedDwell& dwell = links_.dwells[angles_[a].first];
-      if (wanted[a])
-        names.push_back(fmt::format("{} (experiment {}, n = {})", a + 1, dwell.experiment, dwell.n));
+    for (std::size_t k = 0; k < wanted.size(); ++k) {
+      const StoredTogether& stored = links_.stored[k];
+      if (wanted[k])
+        names.push_back(fmt::format("{} (experiment {}, n = {}{})", k + 1, stored.experiment, stored.n,
+                                    stored.is_swept ? ", with its sweep" : ""));
     }
     return names;
   }
-  std::vector<std::string> not_signed() const {
+  std::vector<bool> not_signed() const {
     std::vector<bool> wanted(is_signed_);
     wanted.flip();
-    return names(wanted);
+    return wanted;
   }
-  std::vector<std::string> too_fast() const { return names(is_too_fast_); }
 
   static std::string list(const std::vector<std::string>& names) {
     constexpr std::size_t kMost = 5;
@@ -183,10 +177,10 @@ class Comparison {
     if (is_simulated_)
       return fmt::format("a run with simulated time on {}; beginning and end signed{}", bench_,
                          signer_.empty() ? "" : " by the key of " + signer_);
-    const std::vector<std::string> missing = not_signed(), fast = too_fast();
-    std::string words =
-        fmt::format("{} of {} angles witnessed{}", angles_.size() - missing.size() - fast.size(),
-                    angles_.size(), signer_.empty() ? "" : " by the key of " + signer_);
+    const std::vector<std::string> missing = names(not_signed()), fast = names(is_too_fast_);
+    std::string words = fmt::format("{} of {} angles witnessed{}",
+                                    angles_ - angles_of(not_signed()) - angles_of(is_too_fast_), angles_,
+                                    signer_.empty() ? "" : " by the key of " + signer_);
     if (!missing.empty()) words += fmt::format("; not witnessed: {}", list(missing));
     if (!fast.empty())
       words += fmt::format("; witnessed sooner than their readings can have taken: {}", list(fast));
@@ -197,13 +191,14 @@ class Comparison {
 
   const RunLinks& links_;
   const Trust& trust_;
-  std::vector<Angle> angles_;
-  std::map<std::string, std::size_t> place_of_;  ///< Number of angles up to a link.
-  std::vector<bool> is_signed_, is_too_fast_;    ///< By angle.
+  const std::vector<RunOperator> operators_;
+  std::size_t angles_ = 0;                       ///< Number of the run's angles.
+  std::map<std::string, std::size_t> place_of_;  ///< Number of links of RunLinks::stored up to a link.
+  std::vector<bool> is_signed_, is_too_fast_;    ///< By link of RunLinks::stored.
   std::set<std::string> seen_;
   std::vector<std::string> problems_;
   std::optional<WitnessStatement> last_;
-  std::optional<std::size_t> place_;  ///< Angles up to the link that was signed last.
+  std::optional<std::size_t> place_;  ///< That of the link that was signed last.
   std::string bench_, signer_;
   bool has_begun_ = false, has_ended_ = false, is_simulated_ = false;
 };
@@ -218,7 +213,7 @@ WitnessCheck check_witness(const std::filesystem::path& run, const Trust& trust)
     return none;
   }
   const RunLinks links = run_links(run);
-  Comparison comparison(links, trust);
+  Comparison comparison(links, trust, operators_of(RunFile::load(run)));
   for (const WitnessedLine& row : rows) comparison.add(row);
   return comparison.result();
 }

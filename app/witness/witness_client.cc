@@ -1,14 +1,11 @@
 #include "app/witness/witness_client.h"
 
 #include <fmt/format.h>
-#include <poll.h>
 #include <signal.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
-#include <cerrno>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 #include <string_view>
@@ -16,6 +13,7 @@
 #include <utility>
 
 #include "app/document/json_text.h"
+#include "app/system/channel.h"
 #include "app/system/detached_process.h"
 #include "app/system/helper_program.h"
 #include "app/system/private_file.h"
@@ -29,18 +27,13 @@ namespace {
 using Json = nlohmann::json;
 
 /// Longest wait for the end of a witness that this program has started.
-constexpr int kEndMs = 2000;
+constexpr std::chrono::milliseconds kEnd{2000};
 
 constexpr const char* kSilent = "the witness does not answer";
 
 std::string environment(const char* name) {
   const char* value = std::getenv(name);
   return value == nullptr ? "" : value;
-}
-
-int milliseconds_until(std::chrono::steady_clock::time_point deadline) {
-  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
-  return static_cast<int>(std::max(left, std::chrono::milliseconds(0)).count());
 }
 
 /// The bytes of a signature; empty if the text is not one.
@@ -70,13 +63,14 @@ std::string member(const Json& json, const char* name) {
 /// A socket to the witness, and its process if this program has started it.
 class WitnessClient::Connection {
  public:
-  explicit Connection(const std::filesystem::path& socket) : socket_(connect_to_witness(socket)) {}
+  explicit Connection(const std::filesystem::path& socket)
+      : socket_(connect_to(socket, ChannelKind::kPackets)) {}
 
   Connection(const std::filesystem::path& key, const std::filesystem::path& log) {
-    const ConnectedProcess started =
+    ConnectedProcess started =
         start_connected(helper_program("abcal-witness", "signing a run while it is measured needs"),
                         {"--beside", "--key", key.string(), "--log", log.string()});
-    socket_ = Descriptor(started.socket);
+    socket_ = std::move(started.socket);
     process_ = started.process;
     ended_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, process_, 0)));
   }
@@ -96,21 +90,15 @@ class WitnessClient::Connection {
   /// @return nullopt if the connection has ended
   /// @throws WitnessSilent at the deadline
   std::optional<std::string> ask(const std::string& question, Instant deadline) {
-    if (!send_witness_packet(socket_.number(), question)) return std::nullopt;
-    pollfd waiting{.fd = socket_.number(), .events = POLLIN, .revents = 0};
-    int found = 0;
-    do found = ::poll(&waiting, 1, milliseconds_until(deadline));
-    while (found < 0 && errno == EINTR);
-    if (found > 0) return receive_witness_packet(socket_.number());
+    if (!send_packet(socket_.number(), question)) return std::nullopt;
+    if (wait_until_readable(socket_.number(), deadline - Instant::clock::now()))
+      return receive_witness_packet(socket_.number());
     is_silent_ = true;
     throw WitnessSilent(kSilent);
   }
 
  private:
-  bool has_ended() {
-    pollfd ended{.fd = ended_.number(), .events = POLLIN, .revents = 0};
-    return ::poll(&ended, 1, kEndMs) == 1;
-  }
+  bool has_ended() const { return wait_until_readable(ended_.number(), kEnd); }
 
   Descriptor socket_, ended_;
   pid_t process_ = 0;       ///< 0: none.
@@ -122,9 +110,13 @@ struct WitnessClient::Answer {
   Json json;
 };
 
+bool WitnessClient::is_declined() {
+  return environment("ABCAL_WITNESS") == "none";
+}
+
 std::unique_ptr<WitnessClient> WitnessClient::find() {
   const std::string stated = environment("ABCAL_WITNESS"), key = environment("ABCAL_SIGNING_KEY");
-  if (stated == "none") return nullptr;
+  if (is_declined()) return nullptr;
   std::error_code ignored;
   if (!stated.empty() || std::filesystem::exists(kWitnessSocket, ignored)) {
     const std::string socket = stated.empty() ? kWitnessSocket : stated;
@@ -133,8 +125,7 @@ std::unique_ptr<WitnessClient> WitnessClient::find() {
     } catch (const WitnessSilent& problem) {
       throw WitnessSilent(
           fmt::format("the witness of this computer: {}; required: `systemctl start abcal-witness`, or "
-                      "ABCAL_WITNESS=none "
-                      "for runs without a witness",
+                      "ABCAL_WITNESS=none for runs without a witness",
                       problem.what()));
     }
   }
@@ -249,8 +240,7 @@ std::optional<WitnessedLine> WitnessClient::line_of(const Answer& answer, const 
   if (!is_witnessed_by(line, public_pem_))
     throw WitnessRefusal(
         "the witness has answered with a line that is not signed by its key; required: the same witness as "
-        "at "
-        "the beginning");
+        "at the beginning");
   try {
     (void)parse_witness_line(line.line);
   } catch (const std::invalid_argument&) {

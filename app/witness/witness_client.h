@@ -49,6 +49,8 @@ class WitnessClient {
   /// @throws std::runtime_error if that witness cannot be reached or cannot start; std::invalid_argument if
   /// the key cannot be used
   static std::unique_ptr<WitnessClient> find();
+  /// Whether ABCAL_WITNESS=none asks for no witness.
+  static bool is_declined();
 
   /// A witness that serves a socket.
   /// @throws WitnessSilent, WitnessRefusal

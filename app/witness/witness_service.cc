@@ -1,7 +1,7 @@
 #include "app/witness/witness_service.h"
 
+#include <fmt/format.h>
 #include <poll.h>
-#include <sys/socket.h>
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "app/document/json_text.h"
+#include "app/system/channel.h"
 #include "app/system/output.h"
 #include "app/witness/witness_socket.h"
 #include "protocol/record/signature.h"
@@ -49,6 +50,7 @@ std::string reply_of(const std::optional<WitnessedLine>& line) {
 WitnessService::WitnessService(WitnessLog& log, Options options)
     : log_(log),
       path_(std::move(options.socket)),
+      users_(std::move(options.users)),
       listener_(path_.empty() ? Descriptor() : listen_as_witness(path_)) {
   if (options.owner.number() < 0) return;
   const std::uint32_t uid = peer_user(options.owner.number());
@@ -90,14 +92,14 @@ bool WitnessService::tick() {
 }
 
 void WitnessService::accept() {
-  Descriptor socket(::accept4(listener_.number(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
-  if (socket.number() < 0) return;
+  std::optional<Descriptor> socket = accept_from(listener_);
+  if (!socket) return;
   if (clients_.size() >= kMostClients) {
     const auto silent = std::ranges::find_if(clients_, [](const Client& each) { return !each.is_owner; });
     clients_.erase(silent);
   }
-  const std::uint32_t uid = peer_user(socket.number());
-  clients_.push_back({std::move(socket), uid});
+  const std::uint32_t uid = peer_user(socket->number());
+  clients_.push_back({*std::move(socket), uid});
 }
 
 /// @return false: the connection has ended
@@ -115,7 +117,7 @@ bool WitnessService::answer(const Client& client) {
     print_log("abcal-witness: {}\n", problem.what());
     reply = refusal(problem.what(), true);
   }
-  return send_witness_packet(client.socket.number(), reply);
+  return send_packet(client.socket.number(), reply);
 }
 
 std::string WitnessService::reply_to(const std::string& packet, std::uint32_t uid) {
@@ -128,6 +130,11 @@ std::string WitnessService::reply_to(const std::string& packet, std::uint32_t ui
   if (what == "who")
     return json_text(
         {{"ok", true}, {"public", log_.public_pem()}, {"fingerprint", fingerprint_of(log_.public_pem())}});
+  if (users_ && !users_->contains(uid))
+    throw WitnessRefusal(fmt::format(
+        "this witness does not answer the user with the ID {}; required: one that its configuration names "
+        "(/etc/default/abcal-witness)",
+        uid));
   if (what == "fetch") {
     const WitnessAct act = witness_act_from(text("act"));
     const auto k = json.find("k");
@@ -140,10 +147,7 @@ std::string WitnessService::reply_to(const std::string& packet, std::uint32_t ui
 }
 
 void refuse_owner(int socket, const std::string& why) {
-  for (;;) {
-    pollfd question{.fd = socket, .events = POLLIN, .revents = 0};
-    ::poll(&question, 1, -1);
-    if (!receive_witness_packet(socket) || !send_witness_packet(socket, refusal(why))) return;
+  while (receive_witness_packet(socket) && send_packet(socket, refusal(why))) {
   }
 }
 

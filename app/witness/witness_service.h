@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <filesystem>
 #include <list>
+#include <optional>
+#include <set>
 #include <string>
 
 #include "app/system/descriptor.h"
@@ -20,6 +22,8 @@ class WitnessService {
     /// One end of a socket to the program that has started the service: a client, with whose end the service
     /// ends.
     Descriptor owner;
+    /// User IDs for which it signs and fetches; nullopt: for all.
+    std::optional<std::set<std::uint32_t>> users = std::nullopt;
   };
 
   /// Most connections at a time. One more takes the place of that which has been silent the longest.
@@ -48,6 +52,7 @@ class WitnessService {
 
   WitnessLog& log_;
   const std::filesystem::path path_;
+  const std::optional<std::set<std::uint32_t>> users_;
   Descriptor listener_;
   std::list<Client> clients_;  ///< The one that has been silent the longest first.
 };

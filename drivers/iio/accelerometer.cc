@@ -60,21 +60,20 @@ std::size_t IioAccelerometer::choose_device() const {
       if (chosen)
         session_.fail(
             Fault::kWrongIdentity,
-            fmt::format("there are several accelerometers: {}; required: names = the name or the id "
-                        "of one of them",
-                        fmt::join(found, ", ")));
+            fmt::format(
+                "there are several accelerometers: {}; required: names = the name or the id of one of them",
+                fmt::join(found, ", ")));
       chosen = n;
     }
   }
   if (chosen) return *chosen;
-  session_.fail(
-      Fault::kWrongIdentity,
-      found.empty()
-          ? fmt::format("none of its {} devices has accel_x, accel_y and accel_z in its buffer; required: an "
-                        "accelerometer whose driver has a buffer (scan_elements)",
-                        context_.devices.size())
-          : fmt::format("it has no accelerometer \"{}\"; it has: {}", settings_.names,
-                        fmt::join(found, ", ")));
+  session_.fail(Fault::kWrongIdentity,
+                found.empty()
+                    ? fmt::format("none of its {} devices has accel_x, accel_y and accel_z in its buffer; "
+                                  "required: an accelerometer whose driver has a buffer (scan_elements)",
+                                  context_.devices.size())
+                    : fmt::format("it has no accelerometer \"{}\"; it has: {}", settings_.names,
+                                  fmt::join(found, ", ")));
 }
 
 /// Value of an attribute of a channel, or of the device if `channel` is empty. @throws InstrumentError
@@ -260,10 +259,9 @@ void IioAccelerometer::write(const RegisterTexts& registers) {
 }
 
 void IioAccelerometer::save(const RegisterTexts&) {
-  session_.fail(
-      Fault::kRefused,
-      "Industrial I/O has no attribute that keeps calibbias and calibscale when it is switched off; "
-      "required: no --save, and a start script of that machine that writes them");
+  session_.fail(Fault::kRefused,
+                "Industrial I/O has no attribute that keeps calibbias and calibscale when it is switched "
+                "off; required: no --save, and a start script of that machine that writes them");
 }
 
 void IioAccelerometer::set_rate() {
@@ -409,11 +407,10 @@ std::uint64_t IioAccelerometer::steps_to(std::int64_t time_ns) {
       std::sort(sorted.begin(), sorted.end());
       const double median_s = sorted[kExaminedPeriods / 2];
       if (std::abs(median_s * settings_.rate_hz - 1.0) > kPeriodTolerance)
-        end_and_fail(
-            Fault::kImplausible,
-            fmt::format("its samples are {:.4g} s apart, but rate_hz = {} means {:.4g} s: set the rate of "
-                        "its trigger, or rate_hz",
-                        median_s, settings_.rate_hz, 1.0 / settings_.rate_hz));
+        end_and_fail(Fault::kImplausible,
+                     fmt::format("its samples are {:.4g} s apart, but rate_hz = {} means {:.4g} s: set the "
+                                 "rate of its trigger, or rate_hz",
+                                 median_s, settings_.rate_hz, 1.0 / settings_.rate_hz));
     }
   }
   return static_cast<std::uint64_t>(std::max(1.0, std::round(period_s * settings_.rate_hz)));

@@ -5,6 +5,8 @@
 #include <string>
 #include <string_view>
 
+#include "drivers/text/message.h"
+
 namespace abcal {
 
 /// Kind of a failure of an instrument. Two families are never merged: it refused (kRefused), and its state is
@@ -29,18 +31,20 @@ std::optional<Fault> fault_named(std::string_view words);
 
 /// The one exception of all instruments: who, what, found, required. what() reads "<instrument>: <fault>:
 /// <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits) to \"MOV 1 400\"".
-class InstrumentError : public std::runtime_error {
+class InstrumentError : public Telling<std::runtime_error> {
  public:
+  InstrumentError(std::string_view instrument, Fault fault, Message detail);
+  /// A detail in English only, e.g. of a driver.
   InstrumentError(std::string_view instrument, Fault fault, std::string_view detail);
 
   Fault fault() const { return fault_; }
   const std::string& instrument() const { return instrument_; }
-  const std::string& detail() const { return detail_; }
+  const Message& detail() const { return detail_; }
 
  private:
   std::string instrument_;
   Fault fault_;
-  std::string detail_;
+  Message detail_;
 };
 
 }  // namespace abcal

@@ -11,6 +11,7 @@
 #include "drivers/instrument/angle.h"
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/halt.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -51,7 +52,7 @@ struct StageInfo {
 struct StageEvent {
   Clock::Instant at;
   std::string kind;  ///< "watchdog halt"
-  std::string text;
+  Message text;
 };
 
 /// A two-axis rotation stage. One owner at a time, except halt().

@@ -61,11 +61,10 @@ double ManualChamber::confirmed(const std::string& question, double expected) {
 void ManualChamber::set_temperature(double degc, std::optional<double> rate_k_per_min) {
   const std::string rate = rate_k_per_min ? fmt::format(", ramp {:g} K/min", *rate_k_per_min) : std::string();
   set_degc_.reset();
-  air_degc_ =
-      confirmed(fmt::format("Set the chamber to {:g} degC{}. Press Enter when it is there, or type the "
-                            "temperature that it shows: ",
-                            degc, rate),
-                degc);
+  air_degc_ = confirmed(fmt::format("Set the chamber to {:g} degC{}. Press Enter when it is there, or type "
+                                    "the temperature that it shows: ",
+                                    degc, rate),
+                        degc);
   set_degc_ = degc;
   running_ = true;
 }

@@ -207,10 +207,10 @@ OutputCorrection MavlinkAccelerometer::decode(const RegisterTexts& registers) {
                       rotation, value));
   }
   if (!names->identity.empty() && register_number(registers, names->identity) == 0.0)
-    throw std::invalid_argument(fmt::format(
-        "{} is 0: these parameters are for no accelerometer yet; required: one calibration by the "
-        "autopilot itself, which enters it",
-        names->identity));
+    throw std::invalid_argument(
+        fmt::format("{} is 0: these parameters are for no accelerometer yet; required: one calibration by "
+                    "the autopilot itself, which enters it",
+                    names->identity));
   OutputCorrection correction;
   for (std::size_t n = 0; n < 3; ++n) {
     const auto j = static_cast<Eigen::Index>(n);
@@ -345,10 +345,9 @@ wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acce
     heartbeat_time_us_ = acceleration.time_us;
   if (const std::uint64_t since = acceleration.time_us - *heartbeat_time_us_;
       since > kHeartbeatLostMicroseconds)
-    end_and_fail(Fault::kNotReady,
-                 fmt::format("no heartbeat for {:.1f} s, although readings come: the autopilot hangs, or "
-                             "another program sends them",
-                             static_cast<double>(since) / 1e6));
+    end_and_fail(Fault::kNotReady, fmt::format("no heartbeat for {:.1f} s, although readings come: the "
+                                               "autopilot hangs, or another program sends them",
+                                               static_cast<double>(since) / 1e6));
   Reading reading;
   reading.output = acceleration.output_mps2;
   reading.temperature_degc = acceleration.temperature_degc;

@@ -460,11 +460,10 @@ class PiGcsController final : public wire::LineController {
     } else if (ask_optional(m, fmt::format("LIM? {}", name), flag_of(name)).value_or(false)) {
       execute_or_throw(m, fmt::format("FNL {}", name));
     } else {
-      throw failure(
-          Fault::kNotReady,
-          fmt::format("axis \"{}\" has neither a reference switch nor limit switches (TRS?, LIM?), so it "
-                      "cannot be homed; set its position with the maker's program",
-                      name));
+      throw failure(Fault::kNotReady,
+                    fmt::format("axis \"{}\" has neither a reference switch nor limit switches (TRS?, LIM?), "
+                                "so it cannot be homed; set its position with the maker's program",
+                                name));
     }
   }
 

@@ -227,11 +227,10 @@ void VoltmeterAccelerometer::check_rate_against_integration() const {
     if (settings_.rate_hz * shortest_s <= 1.0) continue;
     meters_[i].fail(
         Fault::kRefused,
-        fmt::format(
-            "rate_hz is {:g}; required: at most {:.3g}, because {:g} channel(s) with integration_plc {:g}"
-            "{} take {:.3g} s even at {:g} Hz mains",
-            settings_.rate_hz, rounded_down(1.0 / shortest_s), channels, settings_.integration_plc,
-            zero > 1.0 ? " and automatic zero" : "", shortest_s, kFastLineHz));
+        fmt::format("rate_hz is {:g}; required: at most {:.3g}, because {:g} channel(s) with integration_plc "
+                    "{:g}{} take {:.3g} s even at {:g} Hz mains",
+                    settings_.rate_hz, rounded_down(1.0 / shortest_s), channels, settings_.integration_plc,
+                    zero > 1.0 ? " and automatic zero" : "", shortest_s, kFastLineHz));
   }
 }
 
@@ -280,11 +279,10 @@ void VoltmeterAccelerometer::check_rate_by_trial() {
   }
   const double mean_s = sum_s / scans;
   if (mean_s * settings_.rate_hz <= 1.0) return;
-  meters_[0].fail(
-      Fault::kRefused,
-      fmt::format("rate_hz is {:g}; required: at most {:.3g}, because a scan takes {:.3g} s (mean of {}) "
-                  "with integration_plc {:g}",
-                  settings_.rate_hz, rounded_down(1.0 / mean_s), mean_s, scans, settings_.integration_plc));
+  meters_[0].fail(Fault::kRefused, fmt::format("rate_hz is {:g}; required: at most {:.3g}, because a scan "
+                                               "takes {:.3g} s (mean of {}) with integration_plc {:g}",
+                                               settings_.rate_hz, rounded_down(1.0 / mean_s), mean_s, scans,
+                                               settings_.integration_plc));
 }
 
 /// How long one scan takes.

@@ -39,14 +39,13 @@ bool is_single(std::string_view received) {
 }  // namespace
 
 void register_scpi_voltmeter(DriverList& drivers) {
-  drivers.accelerometers.push_back(
-      {.name = "scpi_voltmeter",
-       .description = "analog accelerometers behind a scanning voltmeter: Keysight 34970A, 34972A, DAQ970A, "
-                      "Keithley 2700, 2001",
-       .serial = {9600, false},
-       .make = make_accelerometer_of<ScpiScanningVoltmeter>,
-       .example = kExample,
-       .recognition = {std::string(kIdentityQuery), is_scanner}});
+  drivers.accelerometers.push_back({.name = "scpi_voltmeter",
+                                    .description = "analog accelerometers behind a scanning voltmeter: "
+                                                   "Keysight 34970A, 34972A, DAQ970A, Keithley 2700, 2001",
+                                    .serial = {9600, false},
+                                    .make = make_accelerometer_of<ScpiScanningVoltmeter>,
+                                    .example = kExample,
+                                    .recognition = {std::string(kIdentityQuery), is_scanner}});
   drivers.accelerometers.push_back({.name = "scpi_single",
                                     .description = "analog accelerometers behind three single-channel "
                                                    "voltmeters: Keysight 34401A, 34465A and similar",

@@ -128,12 +128,11 @@ void TextLineAccelerometer::fail_without_lines(Clock::Duration waited) const {
                 fmt::join(format_.columns, ", "), wire::bytes_as_text(format_.separator))
           : fmt::format("readings with a number behind each of the names {}", fmt::join(format_.names, ", "));
   fail(Fault::kWrongIdentity,
-       fmt::format(
-           "{} bytes arrived within {:.1f} s, but not {} {}; beginning \"{}\": another instrument is on "
-           "this port, or its baud rate, {} or comment mark differ from the bench file",
-           readings_.received_bytes(), to_seconds(waited), kLikeLines, wanted,
-           wire::bytes_as_text(readings_.first_bytes()),
-           format_.names.empty() ? "columns, separator" : "names, decimal mark, unit"));
+       fmt::format("{} bytes arrived within {:.1f} s, but not {} {}; beginning \"{}\": another instrument is "
+                   "on this port, or its baud rate, {} or comment mark differ from the bench file",
+                   readings_.received_bytes(), to_seconds(waited), kLikeLines, wanted,
+                   wire::bytes_as_text(readings_.first_bytes()),
+                   format_.names.empty() ? "columns, separator" : "names, decimal mark, unit"));
 }
 
 AccelerometerInfo TextLineAccelerometer::interrogate() {

@@ -253,11 +253,10 @@ class ThorlabsAptController final : public wire::LineController {
     line().rename(fmt::format("stage Thorlabs {} (SN {})", info_.model, info_.serial_number));
     const auto controller = find_controller(info_.model);
     if (!controller)
-      throw failure(
-          Fault::kWrongIdentity,
-          fmt::format("the model {} is not known to drive a rotary stage; known: BBD, KBD, TBD, KDC, "
-                      "TDC, K10CR, BSC20, SSC20, KST, TST101",
-                      info_.model));
+      throw failure(Fault::kWrongIdentity,
+                    fmt::format("the model {} is not known to drive a rotary stage; known: BBD, KBD, TBD, "
+                                "KDC, TDC, K10CR, BSC20, SSC20, KST, TST101",
+                                info_.model));
     controller_ = *controller;
     for (const StageAxis axis : kStageAxes)
       if (axes_[index(axis)].name.number > 0) find_stage(axis);
@@ -269,10 +268,9 @@ class ThorlabsAptController final : public wire::LineController {
   void find_stage(StageAxis axis) {
     Axis& a = axes_[index(axis)];
     if (destination_ == kUnit && a.name.number != 1)
-      throw failure(Fault::kWrongIdentity,
-                    fmt::format("there is no axis {} (for {}) on {}, which has one; for two such controllers "
-                                "give each axis its own port",
-                                a.name.number, to_string(axis), info_.model));
+      throw failure(Fault::kWrongIdentity, fmt::format("there is no axis {} (for {}) on {}, which has one; "
+                                                       "for two such controllers give each axis its own port",
+                                                       a.name.number, to_string(axis), info_.model));
     a.stage = a.name.stage;
     if (a.stage.empty() && info_.model.starts_with("K10CR")) a.stage = "K10CR1";
     if (a.stage.empty() && controller_.servo) {

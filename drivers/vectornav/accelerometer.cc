@@ -17,7 +17,6 @@ namespace {
 
 using std::chrono::seconds;
 using vectornav::BinaryMessage;
-using vectornav::Message;
 using vectornav::TextMessage;
 
 // A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [unverified
@@ -97,19 +96,20 @@ using Exchange = wire::PacketExchange<vectornav::MessageParser>;
 
 /// An answer is recognised by its command and register.
 Exchange::Command command_of(std::string_view text) {
-  return {// With a CRC: the device then answers with one, and an XOR overlooks one damaged message in 256.
-          vectornav::make_message(text, vectornav::Checksum::kCrc16), fmt::format("\"{}\"", text),
-          [command = std::string(text)](const Message& message) -> std::optional<wire::PacketAnswer> {
-            const auto* said = std::get_if<TextMessage>(&message);
-            if (said == nullptr) return std::nullopt;
-            if (const auto error = error_code(said->text)) {
-              if (is_of_no_command(*error)) return std::nullopt;
-              return wire::PacketAnswer{{}, error};
-            }
-            auto values = values_if_answer(said->text, command);
-            if (!values) return std::nullopt;
-            return wire::PacketAnswer{*std::move(values), std::nullopt};
-          }};
+  return {
+      // With a CRC: the device then answers with one, and an XOR overlooks one damaged message in 256.
+      vectornav::make_message(text, vectornav::Checksum::kCrc16), fmt::format("\"{}\"", text),
+      [command = std::string(text)](const vectornav::Message& message) -> std::optional<wire::PacketAnswer> {
+        const auto* said = std::get_if<TextMessage>(&message);
+        if (said == nullptr) return std::nullopt;
+        if (const auto error = error_code(said->text)) {
+          if (is_of_no_command(*error)) return std::nullopt;
+          return wire::PacketAnswer{{}, error};
+        }
+        auto values = values_if_answer(said->text, command);
+        if (!values) return std::nullopt;
+        return wire::PacketAnswer{*std::move(values), std::nullopt};
+      }};
 }
 
 Exchange::Manner manner() {
@@ -228,8 +228,7 @@ OutputCorrection VectorNavAccelerometer::decode(const RegisterTexts& registers) 
     if (!Eigen::Map<const Eigen::Matrix3d>(r.data()).isIdentity(kCompensationStep))
       throw std::invalid_argument(
           fmt::format("{} is {}, so that the axes of the output are not those of register 25; required: the "
-                      "identity. Set "
-                      "it, calibrate, and set it back afterwards",
+                      "identity. Set it, calibrate, and set it back afterwards",
                       kRotation, rotation->second));
   }
   OutputCorrection correction;
@@ -328,7 +327,7 @@ void VectorNavAccelerometer::set_text_output() {
 
 // Data.
 
-wire::DecodedFrame VectorNavAccelerometer::decode(const Message& message) {
+wire::DecodedFrame VectorNavAccelerometer::decode(const vectornav::Message& message) {
   std::optional<vectornav::Measurement> measurement;
   if (const auto* text = std::get_if<TextMessage>(&message)) {
     if (const auto error = error_code(text->text)) {

@@ -170,11 +170,10 @@ void WatlowChamber::read_limits(ChamberInfo& info) {
                          std::abs(info.most_set_degc) < kPlausibleDegc &&
                          info.least_set_degc < info.most_set_degc;
   if (plausible) return;
-  throw failure(
-      Fault::kWrongIdentity,
-      fmt::format("its limits of the set point read {:g} to {:g}; required: a range in degC. On an F4T "
-                  "the word order must be low-high (Settings, Communications)",
-                  info.least_set_degc, info.most_set_degc));
+  throw failure(Fault::kWrongIdentity,
+                fmt::format("its limits of the set point read {:g} to {:g}; required: a range in degC. On an "
+                            "F4T the word order must be low-high (Settings, Communications)",
+                            info.least_set_degc, info.most_set_degc));
 }
 
 ChamberInfo WatlowChamber::identify() {
@@ -221,8 +220,7 @@ void WatlowChamber::set_temperature(double degc, std::optional<double> rate_k_pe
   if (!info_) throw failure(Fault::kNotReady, "a set point before it was identified");
   if (!(degc >= info_->least_set_degc && degc <= info_->most_set_degc))
     throw failure(Fault::kOutOfTravel,
-                  fmt::format("set point {:g} degC; required: {:g} to {:g} degC, the limits "
-                              "of its hardware",
+                  fmt::format("set point {:g} degC; required: {:g} to {:g} degC, the limits of its hardware",
                               degc, info_->least_set_degc, info_->most_set_degc));
   verify_unit();
   set_ramp(rate_k_per_min);
@@ -237,10 +235,9 @@ void WatlowChamber::set_temperature(double degc, std::optional<double> rate_k_pe
   }
   const double step = std::max(kSame, 0.51 * std::pow(10.0, -decimals_));
   if (const double found = current(); !(std::abs(found - degc) < step))
-    throw failure(Fault::kRefused,
-                  fmt::format("its set point reads {:g} degC after {:g} degC was written; a limit "
-                              "or a running profile of its own may hold it",
-                              found, degc));
+    throw failure(Fault::kRefused, fmt::format("its set point reads {:g} degC after {:g} degC was written; a "
+                                               "limit or a running profile of its own may hold it",
+                                               found, degc));
 }
 
 std::uint16_t WatlowChamber::output_register(int number) const {

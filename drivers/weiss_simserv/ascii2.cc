@@ -87,9 +87,9 @@ ChamberInfo Ascii2::identify() {
   if (!layout || !layout->least_set_degc || !layout->most_set_degc)
     throw failure(
         Fault::kWrongIdentity,
-        fmt::format("its answer to \"${:02}?\" does not describe CV01, the temperature, and its range: "
-                    "\"{}\"",
-                    settings_.address, wire::printable(text)));
+        fmt::format(
+            "its answer to \"${:02}?\" does not describe CV01, the temperature, and its range: \"{}\"",
+            settings_.address, wire::printable(text)));
   layout_ = *layout;
   target_degc_ = values_of(layout_, state(), "CV01").front();
   ChamberInfo info;
@@ -112,10 +112,9 @@ void Ascii2::set_temperature(double degc, std::optional<double> rate_k_per_min) 
   target_degc_ = degc;
   const double found = values_of(layout_, state(), "CV01").front();
   if (!rate_k_per_min && !(std::abs(found - degc) < kSameAscii))
-    throw failure(Fault::kRefused,
-                  fmt::format("its set point reads {:g} degC after {:g} degC was written: is the "
-                              "external mode enabled at its panel?",
-                              found, degc));
+    throw failure(Fault::kRefused, fmt::format("its set point reads {:g} degC after {:g} degC was written: "
+                                               "is the external mode enabled at its panel?",
+                                               found, degc));
 }
 
 void Ascii2::set_channel(std::size_t channel, bool on) {
@@ -127,10 +126,9 @@ void Ascii2::set_channel(std::size_t channel, bool on) {
   channels[channel] = on ? '1' : '0';
   set(now, target_degc_, channels);
   if (state().channels[channel] != channels[channel])
-    throw failure(Fault::kRefused,
-                  fmt::format("channel DO{:02} did not switch: is the external mode enabled at its "
-                              "panel?",
-                              channel));
+    throw failure(
+        Fault::kRefused,
+        fmt::format("channel DO{:02} did not switch: is the external mode enabled at its panel?", channel));
 }
 
 void Ascii2::switch_run(bool on) {

@@ -107,7 +107,7 @@ ChamberInfo Simserv::identify() {
     if (number(kVariables, {}) >= 2.0) info_.has_humidity = has_word(value(kName, {"2"}), "humid");
   } catch (const InstrumentError& error) {
     if (error.fault() != Fault::kRefused) throw;
-    throw failure(Fault::kWrongIdentity, error.detail());
+    throw failure(Fault::kWrongIdentity, error.detail().english());
   }
   info_.can_ramp = true;
   info_.can_pause = settings_.pause_output > 0;

@@ -10,6 +10,7 @@
 #include <array>
 #include <cctype>
 #include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -24,14 +25,54 @@
 namespace abcal::wire {
 namespace {
 
+constexpr const char* kFolder = "abcal";
+
+std::string user_name(uid_t number) {
+  const passwd* user = ::getpwuid(number);
+  return user != nullptr ? user->pw_name : std::to_string(number);
+}
+
+/// Refuses a resource because the file of its lease, or their folder, is not what abcal makes: who holds the
+/// resource cannot be known then.
+/// @param shown  name of the resource
+[[noreturn]] void throw_unknown(const std::string& shown, const std::filesystem::path& path, int error) {
+  struct stat found {};
+  std::string words = "cannot be used";
+  if (::lstat(path.c_str(), &found) == 0) {
+    const char* kind = S_ISLNK(found.st_mode)   ? "link"
+                       : S_ISDIR(found.st_mode) ? "folder"
+                       : S_ISREG(found.st_mode) ? "file"
+                                                : "special file";
+    words = fmt::format("is a {} of the user {} with the mode {:04o}", kind, user_name(found.st_uid),
+                        found.st_mode & 07777U);
+  }
+  throw PortHeld(
+      shown,
+      fmt::format("whether another program uses it cannot be known: {} {} ({}); required: a {}. Ask "
+                  "that user, or an administrator, to remove it while nothing uses the instrument",
+                  path.string(), words, std::strerror(error),
+                  path.filename() == kFolder ? "folder that all users may write to"
+                                             : "file that all users may read and write"),
+      {});
+}
+
 /// A folder that every user of this computer may write to; empty if there is none.
-std::filesystem::path lease_folder() {
+/// @param shown  as throw_unknown() takes it
+std::filesystem::path lease_folder(const std::string& shown) {
   for (const char* parent : {"/run/lock", "/tmp"}) {
-    const std::filesystem::path folder = std::filesystem::path(parent) / "abcal";
+    const std::filesystem::path folder = std::filesystem::path(parent) / kFolder;
     // Every user may add a file, none may remove that of another. The mask of new files does not count for
     // chmod.
-    if (::mkdir(folder.c_str(), 01777) == 0) ::chmod(folder.c_str(), 01777);
-    if (::access(folder.c_str(), W_OK | X_OK) == 0) return folder;
+    if (::mkdir(folder.c_str(), 01777) == 0)
+      ::chmod(folder.c_str(), 01777);
+    else if (errno != EEXIST)
+      continue;  // The parent is missing, or not for this user.
+    // Programs that use different folders would not see each other: one that is there is the right one.
+    struct stat found {};
+    if (::lstat(folder.c_str(), &found) != 0 || !S_ISDIR(found.st_mode))
+      throw_unknown(shown, folder, ENOTDIR);
+    if (::access(folder.c_str(), W_OK | X_OK) != 0) throw_unknown(shown, folder, errno);
+    return folder;
   }
   return {};
 }
@@ -52,20 +93,23 @@ std::string file_name(const std::string& resource) {
   return name.substr(0, kLongest) + ".lease";
 }
 
-/// Opens the file of a lease, which may belong to another user. @return -1: not possible
-int open_file(const std::filesystem::path& path) {
+/// Opens the file of a lease, which may belong to another user.
+/// @param shown  as throw_unknown() takes it
+int open_file(const std::filesystem::path& path, const std::string& shown) {
   // A file of another user in a folder like this is not opened with O_CREAT (fs.protected_regular).
-  const int flags = O_RDWR | O_CLOEXEC | O_NOFOLLOW;
-  for (int attempt = 0; attempt < 2; ++attempt) {
-    const int present = ::open(path.c_str(), flags);
-    if (present >= 0 || errno != ENOENT) return present;
-    const int made = ::open(path.c_str(), flags | O_CREAT | O_EXCL, 0666);
-    if (made >= 0) {
-      ::fchmod(made, 0666);
-      return made;
-    }
+  const int flags = O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK;
+  int opened = -1;
+  for (int attempt = 0; attempt < 2 && opened < 0; ++attempt) {
+    opened = ::open(path.c_str(), flags);
+    if (opened >= 0 || errno != ENOENT) break;
+    opened = ::open(path.c_str(), flags | O_CREAT | O_EXCL, 0666);
+    if (opened >= 0) ::fchmod(opened, 0666);
   }
-  return -1;
+  struct stat found {};
+  if (opened < 0) throw_unknown(shown, path, errno);
+  if (::fstat(opened, &found) == 0 && S_ISREG(found.st_mode)) return opened;
+  ::close(opened);
+  throw_unknown(shown, path, EINVAL);
 }
 
 bool lock(int descriptor) {
@@ -91,7 +135,6 @@ bool lock(int descriptor) {
 }
 
 std::string own_words(std::string_view holder) {
-  const passwd* user = ::getpwuid(::geteuid());
   const std::time_t now = ::time(nullptr);
   std::tm utc{};
   ::gmtime_r(&now, &utc);
@@ -102,7 +145,7 @@ std::string own_words(std::string_view holder) {
   return fmt::format(
       "{} of the user {} since {}\n{}\n{}\n",
       holder.empty() ? fmt::format("{} (process {})", program, ::getpid()) : std::string(holder),
-      user != nullptr ? user->pw_name : std::to_string(::geteuid()), since.data(), ::getpid(), program);
+      user_name(::geteuid()), since.data(), ::getpid(), program);
 }
 
 /// @param shown  name of the resource in a refusal
@@ -112,12 +155,13 @@ std::shared_ptr<Lease> take_as(const std::string& resource, const std::string& s
   static std::map<std::string, std::weak_ptr<Lease>> taken;
   const std::lock_guard lock_taken(mutex);
   if (std::shared_ptr<Lease> present = taken[resource].lock()) return present;
-  const std::filesystem::path folder = lease_folder();
-  const int descriptor = folder.empty() ? -1 : open_file(folder / file_name(resource));
+  const std::filesystem::path folder = lease_folder(shown);
+  const int descriptor = folder.empty() ? -1 : open_file(folder / file_name(resource), shown);
   if (descriptor >= 0 && !lock(descriptor)) {
+    const int error = errno;
     const Descriptor refused(descriptor);  // Closed as it is: its text belongs to the holder.
-    if (errno == EAGAIN || errno == EACCES) throw_held(shown, descriptor);
-    return std::make_shared<Lease>(-1);  // A file system without locks.
+    if (error == EAGAIN || error == EACCES) throw_held(shown, descriptor);
+    throw_unknown(shown, folder / file_name(resource), error);
   }
   auto lease = std::make_shared<Lease>(descriptor);
   if (descriptor >= 0) {

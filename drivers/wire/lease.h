@@ -17,8 +17,9 @@ class Lease {
   /// of_instrument()
   /// @param holder  who uses it, for the message to others: "a run on the bench \"left\" (process 4711)";
   /// empty: the program's name and process
-  /// @throws PortHeld with the words of the holder. A computer without a folder for such files grants every
-  /// lease.
+  /// @throws PortHeld with the words of the holder; also where the holder cannot be known, because the
+  /// lease's name belongs to a link, a folder or a file that this user may not read, with its owner. A
+  /// computer that has no folder for such files and lets this user make none grants every lease.
   static std::shared_ptr<Lease> take(const std::string& resource, std::string_view holder);
 
   /// As take(), for the device behind a path, which may be a link to it.

@@ -68,11 +68,10 @@ class QueryExchange {
 
  private:
   InstrumentError silence(std::string_view shown) const {
-    return {
-        manner_.who, Fault::kNoReply,
-        fmt::format("no answer to \"{}\" within {} s; is it switched on, and are cable, address and speed "
-                    "right?",
-                    shown, to_seconds(manner_.patience))};
+    return {manner_.who, Fault::kNoReply,
+            fmt::format(
+                "no answer to \"{}\" within {} s; is it switched on, and are cable, address and speed right?",
+                shown, to_seconds(manner_.patience))};
   }
 
   std::optional<std::string> take(Clock::Instant deadline) {

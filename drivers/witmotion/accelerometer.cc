@@ -102,10 +102,9 @@ void WitMotionAccelerometer::fail_without_frames(Clock::Duration waited) const {
     fail(Fault::kBadFrame,
          fmt::format("{} with {} WitMotion frames, {} of them with a wrong sum", heard, frames_ + bad, bad));
   }
-  fail(Fault::kWrongIdentity,
-       fmt::format("{} with {} WitMotion frames, beginning {}: another instrument is on this port, or the "
-                   "baud rate is wrong",
-                   heard, frames_, wire::bytes_in_hex(readings_.first_bytes())));
+  fail(Fault::kWrongIdentity, fmt::format("{} with {} WitMotion frames, beginning {}: another instrument is "
+                                          "on this port, or the baud rate is wrong",
+                                          heard, frames_, wire::bytes_in_hex(readings_.first_bytes())));
 }
 
 AccelerometerInfo WitMotionAccelerometer::interrogate() {
@@ -211,8 +210,7 @@ void WitMotionAccelerometer::save(const RegisterTexts& registers) {
   if (!found_output_)
     fail(Fault::kRefused,
          "it has not said which output and rate are set, and saving stores all settings; required: a model "
-         "that "
-         "answers");
+         "that answers");
   write(registers);
   send(witmotion::kOutputMask, (*found_output_)[0]);
   send(witmotion::kRate, (*found_output_)[1]);

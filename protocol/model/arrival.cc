@@ -92,7 +92,8 @@ class ArrivalSigns::Follower {
     direction_ = 0;
     known_ = false;
   }
-  void go(const StagePose& to, double y) {
+  /// @param to  place of the pose
+  void go(std::size_t to, double y) {
     if (turns_.empty()) {
       turns_.push_back(to);
       now_ = to;
@@ -115,15 +116,35 @@ class ArrivalSigns::Follower {
   void arrive(Deciding& deciding) const {
     deciding.known = known_;
     for (std::size_t k = 0; k < turns_.size(); ++k)
-      deciding.swings.push_back({{turns_[k], k + 1 < turns_.size() ? turns_[k + 1] : now_}, 0.0});
+      deciding.swings.push_back({turns_[k], k + 1 < turns_.size() ? turns_[k + 1] : now_, 0.0});
   }
 
  private:
-  std::vector<StagePose> turns_;  ///< The start, and the extrema since.
-  StagePose now_;
+  std::vector<std::size_t> turns_;  ///< Places of the start, and of the extrema since.
+  std::size_t now_ = 0;
   double y_ = 0.0;
   int direction_ = 0;
   bool known_ = false;
+};
+
+/// The responses at the poses on the way, each computed once, when it is asked for.
+class ArrivalSigns::AtPoses {
+ public:
+  AtPoses(const std::vector<StagePose>& poses, const Responses& responses)
+      : poses_(poses), responses_(responses), known_(poses.size(), 0), values_(3 * poses.size()) {}
+  double change(const Known& known, int output) { return at(known.to, output) - at(known.from, output); }
+
+ private:
+  double at(std::size_t pose, int output) {
+    Eigen::Map<Eigen::Vector3d> value(&values_[3 * pose]);
+    if (known_[pose] == 0) value = responses_(poses_[pose]);
+    known_[pose] = 1;
+    return value(output);
+  }
+  const std::vector<StagePose>& poses_;
+  const Responses& responses_;
+  std::vector<char> known_;
+  std::vector<double> values_;
 };
 
 ArrivalSigns::ArrivalSigns(std::vector<ReadingArrival> readings, double width)
@@ -131,44 +152,51 @@ ArrivalSigns::ArrivalSigns(std::vector<ReadingArrival> readings, double width)
 
 void ArrivalSigns::find(const Responses& responses) {
   deciding_.assign(readings_.size(), {});
+  poses_.assign(1, {});
+  const auto place_of = [&](const StagePose& pose) {
+    poses_.push_back(pose);
+    return poses_.size() - 1;
+  };
   std::array<Follower, 3> followers;
-  ResponseChange whole;  // That of the last motion; it stays where the stage does not move.
+  Known whole;  // That of the last motion; it stays where the stage does not move.
   for (std::size_t n = 0; n < readings_.size(); ++n) {
     const ReadingArrival& reading = readings_[n];
     if (!reading.arrival.since_reading_before)
       for (Follower& follower : followers) follower.forget();
     for (const StageLeg& leg : reading.arrival.legs) {
       const StagePose from = pose_on(reading, leg, leg.from), to = pose_on(reading, leg, leg.to);
+      const std::size_t from_place = place_of(from), to_place = place_of(to);
       const Eigen::Vector3d at_from = responses(from), at_to = responses(to);
       const std::array<std::vector<double>, 3> turning = extrema(reading, leg, responses);
       for (std::size_t j = 0; j < 3; ++j) {
         const auto output = static_cast<Eigen::Index>(j);
-        followers.at(j).go(from, at_from(output));
+        followers.at(j).go(from_place, at_from(output));
         for (const double angle : turning.at(j)) {
           const StagePose pose = pose_on(reading, leg, angle);
-          followers.at(j).go(pose, responses(pose)(output));
+          followers.at(j).go(place_of(pose), responses(pose)(output));
         }
-        followers.at(j).go(to, at_to(output));
+        followers.at(j).go(to_place, at_to(output));
       }
-      whole = {from, to};
+      whole = {from_place, to_place, 0.0};
     }
     for (std::size_t j = 0; j < 3; ++j) {
       Deciding& deciding = deciding_[n].at(j);
       followers.at(j).arrive(deciding);
-      deciding.whole = {whole, 0.0};
+      deciding.whole = whole;
     }
   }
 }
 
 void ArrivalSigns::take_uncertainties(const Responses& responses, const Uncertainty& uncertainty,
                                       double certain) {
+  AtPoses at(poses_, responses);
   for (std::array<Deciding, 3>& outputs : deciding_) {
     for (int j = 0; j < 3; ++j) {
       Deciding& deciding = outputs.at(static_cast<std::size_t>(j));
       if (!deciding.known) continue;
       const auto change = [&](Known& known) {
-        const double size = responses(known.change.to)(j) - responses(known.change.from)(j);
-        known.u = std::abs(size) > certain ? 0.0 : uncertainty(known.change, j);
+        const double size = at.change(known, j);
+        known.u = std::abs(size) > certain ? 0.0 : uncertainty({poses_[known.from], poses_[known.to]}, j);
         return size;
       };
       const double whole = change(deciding.whole);
@@ -186,18 +214,16 @@ void ArrivalSigns::take_uncertainties(const Responses& responses, const Uncertai
   }
 }
 
-double ArrivalSigns::direction_of_arrival(const Deciding& deciding, const Responses& responses,
-                                          int output) const {
+double ArrivalSigns::direction_of_arrival(const Deciding& deciding, AtPoses& responses, int output) const {
   double sign = 0.0;
-  for (const Known& swing : deciding.swings) {
-    const double change = responses(swing.change.to)(output) - responses(swing.change.from)(output);
-    sign = after_swing(sign, change, width_, swing.u);
-  }
+  for (const Known& swing : deciding.swings)
+    sign = after_swing(sign, responses.change(swing, output), width_, swing.u);
   return sign;
 }
 
 std::vector<Eigen::Vector3d> ArrivalSigns::mean(const Responses& responses) const {
   std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Zero());
+  AtPoses at(poses_, responses);
   for (std::size_t n = 0; n < deciding_.size(); ++n) {
     for (int j = 0; j < 3; ++j) {
       const Deciding& deciding = deciding_[n].at(static_cast<std::size_t>(j));
@@ -206,9 +232,8 @@ std::vector<Eigen::Vector3d> ArrivalSigns::mean(const Responses& responses) cons
         out[n](j) = deciding.certain;
         continue;
       }
-      const ResponseChange& whole = deciding.whole.change;
-      const double change = responses(whole.to)(j) - responses(whole.from)(j);
-      out[n](j) = 0.5 * (direction_of_arrival(deciding, responses, j) + mean_sign(change, deciding.whole.u));
+      out[n](j) = 0.5 * (direction_of_arrival(deciding, at, j) +
+                         mean_sign(at.change(deciding.whole, j), deciding.whole.u));
     }
   }
   return out;
@@ -216,6 +241,7 @@ std::vector<Eigen::Vector3d> ArrivalSigns::mean(const Responses& responses) cons
 
 std::vector<Eigen::Vector3d> ArrivalSigns::of_one_item(const Responses& responses, SignRule rule) const {
   std::vector<Eigen::Vector3d> out(readings_.size(), Eigen::Vector3d::Ones());
+  AtPoses at(poses_, responses);
   for (std::size_t n = 0; n < deciding_.size(); ++n) {
     for (int j = 0; j < 3; ++j) {
       const Deciding& deciding = deciding_[n].at(static_cast<std::size_t>(j));
@@ -225,14 +251,11 @@ std::vector<Eigen::Vector3d> ArrivalSigns::of_one_item(const Responses& response
       }
       if (!deciding.known) continue;
       if (rule == SignRule::kLastMotion) {
-        const ResponseChange& whole = deciding.whole.change;
-        out[n](j) = mean_sign(responses(whole.to)(j) - responses(whole.from)(j), 0.0);
+        out[n](j) = mean_sign(at.change(deciding.whole, j), 0.0);
         continue;
       }
-      for (const Known& swing : deciding.swings) {
-        const double change = responses(swing.change.to)(j) - responses(swing.change.from)(j);
-        out[n](j) = after_swing(out[n](j), change, width_, 0.0);
-      }
+      for (const Known& swing : deciding.swings)
+        out[n](j) = after_swing(out[n](j), at.change(swing, j), width_, 0.0);
     }
   }
   return out;

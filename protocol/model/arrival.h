@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <cstddef>
 #include <functional>
 #include <span>
 #include <vector>
@@ -35,7 +36,7 @@ struct ReadingArrival {
 
 /// A change of the responses between two poses on the way.
 struct ResponseChange {
-  StagePose from, to;
+  const StagePose &from, &to;
 };
 
 /// The rules of ArrivalSigns.
@@ -73,8 +74,9 @@ class ArrivalSigns {
   std::vector<Eigen::Vector3d> of_one_item(const Responses& responses, SignRule rule) const;
 
  private:
+  /// A change between two poses on the way, by their places in poses_.
   struct Known {
-    ResponseChange change;
+    std::size_t from = 0, to = 0;
     double u = 0.0;
   };
   /// The changes that decide the sign of one output at one reading.
@@ -85,10 +87,12 @@ class ArrivalSigns {
     Known whole;                ///< Over the last motion.
   };
   class Follower;
-  double direction_of_arrival(const Deciding& deciding, const Responses& responses, int output) const;
+  class AtPoses;
+  double direction_of_arrival(const Deciding& deciding, AtPoses& responses, int output) const;
 
   std::vector<ReadingArrival> readings_;
   double width_ = 0.0;
+  std::vector<StagePose> poses_;  ///< On the way: ends of the motions, and extrema of the outputs.
   std::vector<std::array<Deciding, 3>> deciding_;
 };
 

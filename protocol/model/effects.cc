@@ -363,7 +363,12 @@ Message effect_words(std::string_view effect) {
     if (one.name == effect) return one.name;
   for (const ItemEffect& one : kItemEffects)
     if (one.name == effect) return one.name;
-  static constexpr std::array<Term, 1> kOthers{"effects of the other items"};
+  static constexpr std::array<Term, 10> kOthers{
+      "effects of the other items",
+      // Effects in a fit of several runs, or with a record of the stage.
+      "stage record", "fine map", "mounting", "step errors", "step errors, from visit to visit",
+      "change from run to run", "zeros, from homing to homing", "alignment, from run to run",
+      "initial turns, from run to run"};
   return word_of(kOthers, effect);
 }
 

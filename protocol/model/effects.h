@@ -7,7 +7,7 @@
 #include <string>
 #include <string_view>
 
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/effect_sizes.h"
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
 

@@ -70,6 +70,10 @@ constexpr EffectSizeKey usual_but_zero(Term uncovered, EffectSizeKey key) {
   return key;
 }
 
+constexpr EffectSizeKey between_runs(EffectSizeKey key) {
+  key.between_runs = true;
+  return key;
+}
 constexpr EffectSizeKey in_motion(double size, EffectSizeKey key) {
   key.in_motion = size;
   return key;
@@ -101,6 +105,9 @@ constexpr std::array kKeys{
     value<&EffectSizes::k3>(kItem, "k3", "1", 0.1, "non-linearity of order 3"),
     angle<&EffectSizes::orthogonality>(kItem, "orthogonality_deg", 45.0,
                                        "angles between the item's axes about 90 degrees"),
+    between_runs(value<&EffectSizes::drift_between_runs>(
+        kItem, "drift_between_runs", "1", 1.0,
+        "change of offset and sensitivity from run to run of a measurement of several")),
     value<&EffectSizes::voltmeter_gain>(kItem, "voltmeter_gain", "1", 0.1, "gain of the voltmeter"),
     value<&EffectSizes::voltmeter_offset>(kItem, "voltmeter_offset", "1", 0.1, "offset of the voltmeter"),
     in_motion(0.1, value<&EffectSizes::delay_s>(kStage, "delay_s", "s", 10.0,
@@ -146,7 +153,8 @@ Shape EffectSizes::shape_of(std::string_view key) const {
 }
 
 bool is_without_entry(const EffectSizeKey& key, const EffectSizes& sizes) {
-  return key.in_motion > 0.0 && key.get(sizes) == 0.0 && !sizes.sources.contains(key.key);
+  return (key.in_motion > 0.0 || key.between_runs) && key.get(sizes) == 0.0 &&
+         !sizes.sources.contains(key.key);
 }
 
 EffectSizes with_effects_of_motion(EffectSizes sizes) {

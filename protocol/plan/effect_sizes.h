@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -59,6 +59,9 @@ struct EffectSizes {
   /// Each coefficient of a cyclic drift of the offset, 2 to 6 cycles over the run, relative to S_j; 0: not
   /// stated, and then not covered.
   double cyclic_drift = 0.0;
+  /// Change of the offset (relative to S_j) and of each element of s (likewise) from one run of a measurement
+  /// to another; 0: not stated, and then taken for none.
+  double drift_between_runs = 0.0;
   /// Sine and cosine of a step error with one period a turn, as of an eccentric encoder ring, in addition to
   /// the smooth step errors; 0: not stated.
   Angle step_eccentric = Angle::degrees(0.0);
@@ -111,11 +114,13 @@ struct EffectSizeKey {
   /// Default in a run at a constant rate, of an effect that no other run has; 0: every run has it. Such an
   /// effect is not a further one: without it, a run at a constant rate has no meaning.
   double in_motion = 0.0;
+  bool between_runs = false;  ///< Only a measurement of several runs has this effect.
   double (*get)(const EffectSizes&) = nullptr;
   void (*set)(EffectSizes&, double) = nullptr;
 };
 
-/// Whether a file has no entry for a size, as for an effect of motion in a run with a stage at rest.
+/// Whether a file has no entry for a size, as for an effect of motion in a run with a stage at rest, or for
+/// one between runs that is not stated.
 bool is_without_entry(const EffectSizeKey& key, const EffectSizes& sizes);
 
 /// Every size, in the order in which files list them.

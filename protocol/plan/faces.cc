@@ -16,8 +16,9 @@ Angle angle_in_face_1(int experiment, int face, Angle alpha) {
   return experiment == 3 ? alpha + Angle::degrees(180.0) : Angle::degrees(0.0) - alpha;
 }
 
-std::string circle_words(int experiment, int face) {
-  return "experiment " + std::to_string(experiment) + (face == 2 ? ", face 2" : "");
+Message circle_words(int experiment, int face) {
+  if (face == 2) return {"experiment {experiment}, face 2", experiment};
+  return {"experiment {experiment}", experiment};
 }
 
 }  // namespace abcal

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "drivers/instrument/angle.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -27,7 +28,7 @@ Angle held_angle(int experiment, int face);
 Angle angle_in_face_1(int experiment, int face, Angle alpha);
 
 /// "experiment 1"; in the second face "experiment 1, face 2".
-std::string circle_words(int experiment, int face);
+Message circle_words(int experiment, int face);
 
 /// Whether two angles, of a plan or measured, belong to one circle.
 template <typename First, typename Second>

@@ -64,17 +64,17 @@ const std::vector<Eigen::Matrix3d>& turns_of_cube() {
   return turns;
 }
 
-std::string turn_in_words(const Eigen::Matrix3d& turn) {
+Message turn_in_words(const Eigen::Matrix3d& turn) {
   const Eigen::AngleAxisd turned(turn);
   const double degrees = std::round(turned.angle() * 180.0 / std::numbers::pi);
-  if (degrees == 0.0) return "as in the first run";
+  if (degrees == 0.0) return Message("as in the first run");
   std::string axis;
   for (Eigen::Index k = 0; k < 3; ++k) {
     const double along = turned.axis()(k);
     if (std::abs(along) < 0.1) continue;
     axis += fmt::format("{}{}", along < 0.0 ? "-" : (axis.empty() ? "" : "+"), "XYZ"[k]);
   }
-  return fmt::format("turned by {:g} degrees about {}", degrees, axis);
+  return {"turned by {degrees:g} degrees about {axis}", degrees, axis};
 }
 
 std::optional<std::string> mounting_words(const Eigen::Matrix3d& directions) {

@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "drivers/text/message.h"
+
 namespace abcal {
 
 /// Numbers of mountings for which mounting_turns() has a series.
@@ -24,7 +26,7 @@ const std::vector<Eigen::Matrix3d>& turns_of_cube();
 
 /// The orientation of an item after one of the turns of a cube: "turned by 90 degrees about X", "turned by
 /// 120 degrees about X-Y+Z"; without a turn "as in the first run".
-std::string turn_in_words(const Eigen::Matrix3d& turn);
+Message turn_in_words(const Eigen::Matrix3d& turn);
 
 /// Directions of u, v, w, as rows, as [item] mounting states them: "x -z y". Nullopt if one of them is not
 /// along an axis. The inverse of mounting_matrix() (protocol/plan/limits.h).

@@ -21,14 +21,14 @@ std::optional<Clock::Duration> clock_step(const ClockPair& before, const ClockPa
   return step;
 }
 
-std::string describe_clock_step(Clock::Duration step) {
-  return fmt::format(
-      "the system clock changed by {:+.3f} s (set by a person or a time service, or the computer was "
+Message describe_clock_step(Clock::Duration step) {
+  return Message(
+      "the system clock changed by {step:+.3f} s (set by a person or a time service, or the computer was "
       "suspended); the times of the run are not affected, because they follow the monotonic clock",
       to_seconds(step));
 }
 
-std::optional<std::string> ClockWatch::find_step(const ClockPair& now) {
+std::optional<Message> ClockWatch::find_step(const ClockPair& now) {
   const std::optional<Clock::Duration> step = clock_step(before_, now);
   before_ = now;
   if (!step) return std::nullopt;

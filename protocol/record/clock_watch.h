@@ -1,9 +1,9 @@
 #pragma once
 
 #include <optional>
-#include <string>
 
 #include "drivers/instrument/clock.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -19,7 +19,7 @@ struct ClockPair {
 std::optional<Clock::Duration> clock_step(const ClockPair& before, const ClockPair& now);
 
 /// The words for a step, for the event log.
-std::string describe_clock_step(Clock::Duration step);
+Message describe_clock_step(Clock::Duration step);
 
 /// Finds the steps of the system clock while a run lasts.
 class ClockWatch {
@@ -28,7 +28,7 @@ class ClockWatch {
 
   /// Compares the clocks with those of the call before.
   /// @return the words for the event log if the system clock was moved in between
-  std::optional<std::string> find_step(const ClockPair& now);
+  std::optional<Message> find_step(const ClockPair& now);
 
  private:
   ClockPair before_;

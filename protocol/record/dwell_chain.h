@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -14,15 +15,15 @@
 namespace abcal {
 
 /// meta `schema` of a run file.
-inline constexpr std::string_view kRunSchemaName = "abcal.run/5";
+inline constexpr std::string_view kRunSchemaName = "abcal.run/6";
 
 /// First link of the chain of dwells: SHA-256, in hexadecimal, over everything stored before the first angle
 /// (facts but state and timing, instruments, items, registers, plan).
 std::string head_link(SqliteDatabase& database);
 
 /// The link of a dwell that is stored: SHA-256, in hexadecimal, over the link before, the columns of its
-/// session that are known at its beginning, all its own but the link, and all of its readings.
-/// docs/run_file.md defines the bytes.
+/// session that are known at its beginning, all its own but the link, and all of its readings; since version
+/// 6 also over the events, conditions and dropped items up to the dwell. docs/run_file.md defines the bytes.
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before);
 
 /// The last link of a run file's dwells, which names its readings and everything before them; empty in a file
@@ -30,19 +31,26 @@ std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string
 /// @throws RunFileError if the file is not a run file
 std::string last_dwell_link(const std::filesystem::path& run);
 
-/// A stored dwell, as far as its witness is concerned.
-struct LinkedDwell {
-  std::int64_t position = 0;    ///< In the plan.
-  int experiment = 0, n = 0;    ///< 0: a check pose.
-  int item = 1;                 ///< Item of the run, from 1.
+/// Dwells that were stored together, in one transaction, so that a run has all of them or none, and that a
+/// witness signs them at once: those of all items at an angle of the plan, or at all angles of a sweep.
+struct StoredTogether {
+  std::int64_t position = 0;    ///< In the plan: of the first angle.
+  std::size_t angles = 1;       ///< Angles of the plan.
+  int experiment = 0, n = 0;    ///< Those of the first angle; 0: a check pose.
+  bool is_swept = false;        ///< The stage passed the angles; else it stood.
+  bool is_check = false;        ///< Measured again for comparison: one angle, also of a sweep.
   double reading_time_s = 0.0;  ///< Number of readings over the rate of the item; 0: the rate is not known.
-  std::string link;
+  std::string link;             ///< Link of the last dwell.
 };
+
+/// The dwells of a run file of version 3 or later, in the order of their writing.
+/// @param from  ID of the first one that is asked for
+std::vector<StoredTogether> stored_together(SqliteDatabase& database, std::int64_t from = 0);
 
 /// The links of a run file of version 3 or later.
 struct RunLinks {
   std::string head;  ///< head_link(): identifies the run.
-  std::vector<LinkedDwell> dwells;
+  std::vector<StoredTogether> stored;
   std::string closing;  ///< closing_link().
 };
 /// @throws RunFileError if the file is not a run file

@@ -1,5 +1,7 @@
 #include "protocol/record/dwell_rows.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -116,6 +118,12 @@ void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<cons
 
 std::optional<double> degrees(const std::optional<Angle>& angle) {
   return angle ? std::optional(angle->deg()) : std::nullopt;
+}
+
+/// ID of the row that was written last; nullopt: there is none.
+std::optional<std::int64_t> last_id(SqliteDatabase& database, const char* table) {
+  SqliteStatement last = database.prepare(fmt::format("select max(id) from {}", table));
+  return last.step() ? last.optional_integer(0) : std::nullopt;
 }
 
 /// The role that a row gets: an angle that is there already is measured again for comparison only.
@@ -250,6 +258,8 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
              motion ? std::optional(motion->acceleration_deg_per_s2) : std::nullopt)
         .set("u_angle_deg", motion ? std::optional(motion->u_angle_deg) : std::nullopt);
   }
+  if (links_all(database_))
+    row.set("event", last_id(database_, "event")).set("environment", last_id(database_, "environment"));
   if (times_.begun && time_ns) row.set("utc", format_utc(*times_.begun + Clock::Duration(*time_ns)));
   const auto& scale = constants.temperature;
   row.set("first_temperature_degc", scale ? std::optional(scale->first_degc) : std::nullopt)

@@ -44,17 +44,27 @@ std::filesystem::path ResultsFile::path_beside(const std::filesystem::path& run_
   return run_path.string() + ".results";
 }
 
+std::filesystem::path ResultsFile::path_to_write(const std::filesystem::path& run_path) {
+  std::filesystem::path results = path_beside(run_path);
+  std::error_code ignored;
+  if (!std::filesystem::is_symlink(results, ignored)) return results;
+  throw RunFileError(results.string() +
+                     ": is a link, through which nothing is written; required: the file itself, "
+                     "or none. Remove the link");
+}
+
 void ResultsFile::require_none(const std::filesystem::path& run_path) {
   const std::filesystem::path results = path_beside(run_path);
   std::error_code ignored;
-  if (!std::filesystem::exists(results, ignored)) return;
+  if (!std::filesystem::exists(std::filesystem::symlink_status(results, ignored)))
+    return;  // Nor is it a link.
   throw RunFileError(results.string() + ": belongs to another run, so the results of " + run_path.string() +
                      " could not be stored; required: no such file before a run is closed. Move it to the "
                      "run to which it belongs, or choose another name with -o");
 }
 
 ResultsFile::ResultsFile(const std::filesystem::path& run_path)
-    : database_(path_beside(run_path), SqliteDatabase::Mode::kCreate) {
+    : database_(path_to_write(run_path), SqliteDatabase::Mode::kCreate) {
   database_.wait_at_most(kPatienceForOthers);
   database_.execute("pragma synchronous=full");
 }

@@ -59,6 +59,9 @@ class ResultsFile {
   void add_certificate(const IssuedCertificate& certificate);
 
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
+  /// path_beside(), to be written. @throws RunFileError if it is a link: what it leads to may be somebody
+  /// else's
+  static std::filesystem::path path_to_write(const std::filesystem::path& run_path);
 
   /// Refuses a run that is not closed although results exist for its name: they belong to another run.
   /// @throws RunFileError

@@ -4,11 +4,14 @@
 #include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <map>
+#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <system_error>
 #include <utility>
@@ -17,6 +20,7 @@
 #include "protocol/record/clock_watch.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/dwell_rows.h"
+#include "protocol/record/message_json.h"
 #include "protocol/record/run_header.h"
 #include "protocol/record/run_schema.h"
 #include "protocol/record/sha256.h"
@@ -24,10 +28,6 @@
 namespace abcal {
 namespace {
 
-/// Only in a run that was recorded with a transcript.
-constexpr const char* kWireSchema =
-    "create table wire(id integer primary key, role text, time_ns integer, arrival_ns integer, kind text, "
-    "bytes blob)";
 constexpr std::string_view kWireStart = "wire.start_utc_ns";
 /// Commits reach the disk before they return: an angle that is in the file survives a power cut.
 constexpr const char* kWaitForDisk = "pragma synchronous=full";
@@ -46,9 +46,38 @@ class WriterLock {
   WriterLock(const WriterLock&) = delete;
   WriterLock& operator=(const WriterLock&) = delete;
   ~WriterLock() { ::close(fd_); }
+  /// Whether the file has no name any more, in any folder.
+  bool is_deleted() const {
+    struct stat status {};
+    return ::fstat(fd_, &status) == 0 && status.st_nlink == 0;
+  }
 
  private:
   int fd_;
+};
+
+/// Space on the disk of a file that nothing uses, so that some is left to write why a run ended when the disk
+/// is full. It has no name, and ends with the program; none where the file system has no files without a
+/// name.
+class ReservedSpace {
+ public:
+  explicit ReservedSpace(const std::filesystem::path& path) {
+    // The reason takes three pages of the log of 4 KiB, and a transcript that waits some more.
+    constexpr off_t kBytes = 256 << 10;
+    const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
+    fd_ = ::open(folder.c_str(), O_TMPFILE | O_WRONLY | O_CLOEXEC, 0600);
+    if (fd_ >= 0 && ::fallocate(fd_, 0, 0, kBytes) != 0) release();
+  }
+  ReservedSpace(const ReservedSpace&) = delete;
+  ReservedSpace& operator=(const ReservedSpace&) = delete;
+  ~ReservedSpace() { release(); }
+  void release() {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = -1;
+  }
+
+ private:
+  int fd_ = -1;
 };
 
 [[noreturn]] void refuse_to_overwrite(const std::filesystem::path& path) {
@@ -73,11 +102,18 @@ void name_file(const std::filesystem::path& draft, const std::filesystem::path& 
   throw RunFileError(path.string() + ": cannot be created: " + std::strerror(error));
 }
 
-/// Reads the header of the SQLite file: a connection that only reads does not change a file without a log.
-bool uses_write_ahead_log(const std::filesystem::path& path) {
-  constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
-  const std::string head = first_bytes(path, kReadVersionAt + 1);
-  return head.size() > kReadVersionAt && head[kReadVersionAt] == 2;
+/// @throws RunFileError for a name that is no file's to SQLite, or that no text can have
+void require_name(const std::filesystem::path& path) {
+  const std::string name = path.string();
+  const auto refuse = [&](const char* why) {
+    throw RunFileError(fmt::format("{}: {}; choose another name with -o", name, why));
+  };
+  if (name == ":memory:") refuse("no file has this name: the run would be lost at the end of the program");
+  try {
+    (void)nlohmann::json(name).dump();
+  } catch (const nlohmann::json::type_error&) {
+    refuse("the name is not UTF-8, so that no result or certificate can state it");
+  }
 }
 
 void make_read_only(const std::filesystem::path& path) {
@@ -87,10 +123,22 @@ void make_read_only(const std::filesystem::path& path) {
   std::filesystem::permissions(path, writing, std::filesystem::perm_options::remove);
 }
 
-/// Made only in a run that continued without an item. The event gives the reason.
-constexpr const char* kDropSchema =
-    "create table if not exists item_drop(item integer primary key references item,"
-    " position integer not null, event integer not null references event)";
+/// The messages of events by their ids. None of a file of an earlier version.
+std::map<std::int64_t, Message> read_messages(SqliteDatabase& database) {
+  std::map<std::int64_t, Message> messages;
+  if (!database.has_table("message")) return messages;
+  SqliteStatement rows = database.prepare(
+      "select event.id as id, text, message from message join event on event.id = message.event");
+  while (rows.step()) {
+    const auto json = nlohmann::ordered_json::parse(rows.text("message"), nullptr, false);
+    try {
+      Message message = message_from_json(json);
+      if (message.english() == rows.text("text")) messages.emplace(rows.integer("id"), std::move(message));
+    } catch (const nlohmann::json::exception&) {  // the text stays in English
+    }
+  }
+  return messages;
+}
 
 /// How far each item of a run was measured.
 std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
@@ -102,17 +150,20 @@ std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::
   for (const RunItem& item : items) {
     if (has_items) measured.set("item", std::int64_t{item.k});
     measured.step();
-    states.push_back({item.k, static_cast<std::size_t>(measured.integer("n")), std::nullopt, ""});
+    states.push_back({item.k, static_cast<std::size_t>(measured.integer("n")), std::nullopt, {}});
     measured.reset();
   }
   if (!database.has_table("item_drop")) return states;
-  SqliteStatement drops =
-      database.prepare("select item, position, text from item_drop join event on event.id = item_drop.event");
+  const std::map<std::int64_t, Message> messages = read_messages(database);
+  SqliteStatement drops = database.prepare(
+      "select item, position, event.id as event, text from item_drop join event on event.id = "
+      "item_drop.event");
   while (drops.step()) {
     const auto dropped = std::ranges::find(states, static_cast<int>(drops.integer("item")), &ItemProgress::k);
     if (dropped == states.end()) continue;
     dropped->dropped_at = static_cast<std::size_t>(drops.integer("position"));
-    dropped->reason = drops.text("text");
+    const auto known = messages.find(drops.integer("event"));
+    dropped->reason = known == messages.end() ? Message::bare(drops.text("text")) : known->second;
   }
   return states;
 }
@@ -128,9 +179,8 @@ struct LastSession {
 
 std::optional<LastSession> last_session(SqliteDatabase& database) {
   SqliteStatement row = database.prepare(
-      "select *, (select max(time_ns) from dwell where dwell.session = session.id) as last_dwell_ns,"
-      " (select sum(value) from meta where key like 'timing.%') as spent_s from session order by id desc "
-      "limit 1");
+      "select *, (select max(time_ns) from dwell where dwell.session = session.id) as last_dwell_ns, (select "
+      "sum(value) from meta where key like 'timing.%') as spent_s from session order by id desc limit 1");
   if (!row.step()) return std::nullopt;
   LastSession last;
   last.id = row.integer("id");
@@ -202,8 +252,20 @@ void write_session(SqliteDatabase& database, const SessionTimes& times, const Se
 
 /// Appends to the event log. Requires a transaction: reading the last link and writing the new row belong
 /// together.
+/// Writes the message of the event that was written last.
+void write_message(SqliteDatabase& database, const Message& message) {
+  if (message.id().empty()) return;
+  const std::int64_t event = database.last_row_id();
+  create_optional_table(database, "message");
+  database.insert("message")
+      .set("event", event)
+      .set("message", message_json(message).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace))
+      .run();
+}
+
 void write_event(SqliteDatabase& database, const std::string& utc, std::string_view kind,
-                 std::string_view text) {
+                 const Message& message) {
+  const std::string text = message.english();
   const std::string who =
       database.value("select value from meta where key = 'label.operator.name'").value_or("abcal");
   const std::string before = database.value("select chain from event order by id desc limit 1").value_or("");
@@ -212,8 +274,9 @@ void write_event(SqliteDatabase& database, const std::string& utc, std::string_v
       .set("who", who)
       .set("kind", kind)
       .set("text", text)
-      .set("chain", next_link(before, {utc, who, std::string(kind), std::string(text)}))
+      .set("chain", next_link(before, {utc, who, std::string(kind), text}))
       .run();
+  write_message(database, message);
 }
 
 }  // namespace
@@ -252,9 +315,37 @@ class WithoutWaitingForDisk {
 
 struct RunFile::Impl {
   Impl(std::filesystem::path file, SqliteDatabase opened)
-      : path(std::move(file)), lock(path), database(std::move(opened)) {
+      : path(std::move(file)), reserved(path), database(std::move(opened)) {
+    lock.emplace(path);
+    use_log();
+  }
+
+  void use_log() {
     database.use_write_ahead_log();
     database.execute(kWaitForDisk);
+  }
+
+  /// Bounds the time whose angles are lost with the log, if somebody removes it: to one minute.
+  void merge_log_each_minute(const RunTiming& timing) {
+    constexpr double kMinute = 60.0;
+    if (repeatable || timing.total_s() < merged_at_s + kMinute) return;
+    database.execute("pragma wal_checkpoint(passive)");
+    merged_at_s = timing.total_s();
+  }
+
+  /// The file was deleted, and lives as long as this program: its contents become a new file of its name.
+  void write_again() {
+    const std::filesystem::path draft = fmt::format("{}.again-{}", path.string(), ::getpid());
+    std::error_code ignored;
+    std::filesystem::remove(draft, ignored);
+    database.prepare("vacuum into :draft").set("draft", draft.string()).run();
+    // The log of the old file, which has the name that the log of the new one will have, goes with it.
+    database = SqliteDatabase(draft, SqliteDatabase::Mode::kReadWrite);
+    for (const char* suffix : {"-wal", "-shm"}) std::filesystem::remove(path.string() + suffix, ignored);
+    name_file(draft, path);
+    database = SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite);
+    lock.emplace(path);
+    use_log();
   }
 
   /// Commits an angle: the rows that `write` writes, the time spent, and new lines of the transcript.
@@ -264,11 +355,16 @@ struct RunFile::Impl {
     if (repeatable) without_waiting.emplace(database);
     Transaction transaction(database);
     DwellWriter writer(database, times);
+    const std::int64_t last =
+        std::stoll(database.value("select coalesce(max(id), 0) from dwell").value_or("0"));
     write(writer);
+    if (stored_together(database, last).size() > (last > 0 ? 2U : 1U))
+      throw std::logic_error("RunFile: the dwells of one angle, or of one sweep, are stored together");
     set_timing(database, timing);
     append_waiting();
     transaction.commit();
     waiting_is_stored();
+    merge_log_each_minute(timing);
     if (ask_witness) {
       const std::string before = std::exchange(last_link, read_last_link());
       ask_witness(before, last_link);
@@ -289,13 +385,13 @@ struct RunFile::Impl {
     return *session;
   }
 
-  void write_state(RunState state, const std::string& utc, std::string_view why) {
+  void write_state(RunState state, const std::string& utc, const Message& why) {
     set_meta(database, "state", to_string(state));
     write_event(database, utc, to_string(state), why);
     if (session && state != RunState::kRunning) {
       database.prepare("update session set ended_utc = :utc, end_reason = :why where id = :id")
           .set("utc", utc)
-          .set("why", why)
+          .set("why", why.english())
           .set("id", session->session)
           .run();
     }
@@ -347,7 +443,10 @@ struct RunFile::Impl {
   bool repeatable = false;                        ///< As in SessionStart.
   std::optional<SessionTimes> session;            ///< The present session.
   std::optional<Clock::Instant> session_instant;  ///< Its beginning.
-  WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
+  double merged_at_s = 0.0;                       ///< RunTiming::total_s() at which the log was merged.
+  ReservedSpace reserved;
+  /// Outlives the database: closing any descriptor of the file drops SQLite's own locks.
+  std::optional<WriterLock> lock;
   SqliteDatabase database;
 };
 
@@ -361,12 +460,20 @@ const std::filesystem::path& RunFile::path() const {
 }
 
 bool RunFile::looks_like_run_file(const std::filesystem::path& path) {
-  return begins_as_sqlite(path);
+  return begins_as_sqlite(path) && !is_ros2_bag(path);
 }
 
 RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& header) {
+  require_name(path);
   std::error_code ignored;
   if (std::filesystem::exists(path, ignored)) refuse_to_overwrite(path);
+  // SQLite would take it for that of the new file.
+  const std::filesystem::path log = path.string() + "-wal";
+  if (std::error_code absent; std::filesystem::file_size(log, absent) > 0 && !absent)
+    throw RunFileError(
+        log.string() +
+        ": is the log of a run whose own file is gone; choose another name with -o, or move the log "
+        "away if nobody needs that run");
   ResultsFile::require_none(path);
   // The file gets its name when its head is complete: a program that is killed before leaves no run that
   // cannot be read.
@@ -392,6 +499,23 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
     throw;
   }
   return RunFile(std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)));
+}
+
+std::optional<Message> RunFile::missing_log(const std::filesystem::path& path) {
+  const std::filesystem::path log = path.string() + "-wal";
+  // Whoever has looked at the file since has left an empty one.
+  std::error_code absent;
+  const bool has_log = std::filesystem::file_size(log, absent) > 0 && !absent;
+  if (has_log || !uses_write_ahead_log(path)) return std::nullopt;
+  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+  if (!database.has_column("session", "ended_utc")) return std::nullopt;
+  const auto open = database.value(
+      "select count(*) from session where id = (select max(id) from session) and ended_utc is null");
+  if (open != "1") return std::nullopt;
+  return Message(
+      "{file}: its program ended without closing it, and its log {log} is gone, with what was measured last; "
+      "if you have it, put it beside the file and resume again",
+      path.string(), log.filename().string());
 }
 
 RunFile RunFile::open_for_append(const std::filesystem::path& path) {
@@ -457,7 +581,7 @@ Clock::UtcTime RunFile::utc_now(const Clock& clock) const {
 
 void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take) {
   Transaction transaction(impl_->database);
-  impl_->database.execute(kWireSchema);
+  create_optional_table(impl_->database, "wire");
   set_meta(impl_->database, kWireStart, std::to_string(start.time_since_epoch().count()));
   impl_->take_wire = std::move(take);
   impl_->append_waiting();
@@ -522,9 +646,9 @@ void RunFile::append_sweep(std::span<const PassedAngle> angles, const RunTiming&
   });
 }
 
-void RunFile::drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why) {
+void RunFile::drop_item(int item, std::size_t plan_position, const std::string& utc, const Message& why) {
   Transaction transaction(impl_->database);
-  impl_->database.execute(kDropSchema);
+  create_optional_table(impl_->database, "item_drop");
   write_event(impl_->database, utc, kItemDroppedEvent, why);
   impl_->database.insert("item_drop")
       .set("item", std::int64_t{item})
@@ -534,7 +658,7 @@ void RunFile::drop_item(int item, std::size_t plan_position, const std::string& 
   transaction.commit();
 }
 
-void RunFile::append_event(const std::string& utc, std::string_view kind, std::string_view text) {
+void RunFile::append_event(const std::string& utc, std::string_view kind, const Message& text) {
   Transaction transaction(impl_->database);
   write_event(impl_->database, utc, kind, text);
   transaction.commit();
@@ -552,7 +676,22 @@ void RunFile::append_environment(const std::string& utc, std::string_view when,
       .run();
 }
 
-void RunFile::set_state(RunState state, const std::string& utc, std::string_view why) {
+RunFile::Place RunFile::look_for_file() {
+  if (!impl_->database.has_moved()) return Place::kInPlace;
+  std::error_code ignored;
+  if (std::filesystem::exists(std::filesystem::symlink_status(impl_->path, ignored))) return Place::kReplaced;
+  const std::filesystem::path folder = std::filesystem::absolute(impl_->path).parent_path();
+  if (impl_->lock->is_deleted() && std::filesystem::is_directory(folder, ignored)) {
+    impl_->write_again();
+    return Place::kWrittenAgain;
+  }
+  // So that the file is whole wherever it is now: its log did not go with it.
+  impl_->database.execute("pragma wal_checkpoint(passive)");
+  return Place::kMoved;
+}
+
+void RunFile::set_state(RunState state, const std::string& utc, const Message& why) {
+  if (state != RunState::kRunning) impl_->reserved.release();
   Transaction transaction(impl_->database);
   impl_->write_state(state, utc, why);
   transaction.commit();
@@ -565,15 +704,16 @@ bool RunFile::wait_for_readers(int failures) {
 }
 
 void RunFile::complete(const std::string& utc, const RunTiming& timing) {
+  impl_->reserved.release();
   SqliteDatabase& database = impl_->database;
   Transaction transaction(database);
   set_timing(database, timing);
-  impl_->write_state(RunState::kComplete, utc, "all angles measured");
+  impl_->write_state(RunState::kComplete, utc, Message("all angles measured"));
   database
       .prepare(
-          "insert into seal(utc, dwells, dwell_chain, event_chain) values(:utc,"
-          " (select count(*) from dwell), (select chain from dwell order by id desc limit 1),"
-          " (select chain from event order by id desc limit 1))")
+          "insert into seal(utc, dwells, dwell_chain, event_chain) values(:utc, (select count(*) from "
+          "dwell), (select chain from dwell order by id desc limit 1), (select chain from event order by id "
+          "desc limit 1))")
       .set("utc", utc)
       .run();
   transaction.commit();
@@ -611,9 +751,8 @@ std::optional<std::string> RunFile::close(const TryAgain& try_again) {
 }
 
 bool RunFile::is_closed(const std::filesystem::path& path) {
-  if (uses_write_ahead_log(path)) return false;
-  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
-  return database.value("select value from meta where key='state'") == to_string(RunState::kComplete);
+  // Whoever reads the run has all of its pages checked then.
+  return !uses_write_ahead_log(path) && state_of_run_file(path) == to_string(RunState::kComplete);
 }
 
 std::string RunFile::finish_closing(const std::filesystem::path& path, const TryAgain& try_again) {
@@ -659,9 +798,12 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
       record.dwells.push_back(std::move(dwell));
     }
   });
-  SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
+  SqliteStatement events = database.prepare("select id, utc, kind, text from event order by id");
+  const std::map<std::int64_t, Message> messages = read_messages(database);
   while (events.step()) {
-    run.events.push_back({events.text("utc"), events.text("kind"), events.text("text")});
+    const auto known = messages.find(events.integer("id"));
+    run.events.push_back({events.text("utc"), events.text("kind"),
+                          known == messages.end() ? Message::bare(events.text("text")) : known->second});
     // set_state() wrote it when the run continued.
     if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
     if (run.events.back().kind == kReconnectedEvent) ++record.reconnections;

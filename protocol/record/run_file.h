@@ -166,7 +166,7 @@ struct StoredDwell {
 struct RunEvent {
   std::string utc;
   std::string kind;  ///< "started", "interrupted", "flag", ...
-  std::string text;
+  Message text;      ///< bare where the file states no sentence of it: of a person, of an earlier version.
 };
 
 /// One call on the byte stream of an instrument and its result, as the layer of the wire describes it.
@@ -194,7 +194,7 @@ struct ItemProgress {
   std::size_t measured = 0;  ///< Angles.
   /// The angle, by its position in the plan, before which it was dropped from the run; absent: it was not.
   std::optional<std::size_t> dropped_at;
-  std::string reason;  ///< Why it was dropped.
+  Message reason;  ///< Why it was dropped.
 };
 
 /// An encoder angle of an axis while it turned.
@@ -243,9 +243,14 @@ struct StoredRun {
 /// One writer at a time (a lock on the file); readers at any time. All functions throw RunFileError.
 class RunFile {
  public:
-  /// Creates a new file. Refuses a file that exists, since a run is never overwritten, and a name for which
-  /// results of another run exist, since the results of this run could not be stored then.
+  /// Creates a new file. Refuses a file that exists, since a run is never overwritten, a name that is not
+  /// UTF-8 or that SQLite does not take for a file's, and a name for which results of another run exist,
+  /// since the results of this run could not be stored then.
   static RunFile create(const std::filesystem::path& path, const RunHeader& header);
+
+  /// Words for a run whose program ended without closing it, and whose write-ahead log is gone: the angles of
+  /// its last minute may be lost. Ask before open_for_append(), which begins another log.
+  static std::optional<Message> missing_log(const std::filesystem::path& path);
 
   /// Opens an interrupted run to continue it; one of version 2 becomes one of version 3. Refuses a closed
   /// run, a run that another process is writing, and a run for which results exist, since they must belong to
@@ -273,7 +278,7 @@ class RunFile {
   /// The transcript of the wire, if the run was recorded with one.
   static std::optional<WireTranscript> load_transcript(const std::filesystem::path& path);
 
-  /// Whether a file is SQLite at all, to distinguish a run file from a CSV.
+  /// Whether a file is SQLite, and no bag of ROS 2: to distinguish a run file from a table or log.
   static bool looks_like_run_file(const std::filesystem::path& path);
 
   RunFile(RunFile&&) noexcept;
@@ -324,14 +329,25 @@ class RunFile {
   /// Commits a sweep: all of its angles are on the disk, or none is.
   void append_sweep(std::span<const PassedAngle> angles, const RunTiming& timing);
   /// The run continues without an item, from the angle at a position of the plan on.
-  void drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why);
-  void append_event(const std::string& utc, std::string_view kind, std::string_view text);
+  void drop_item(int item, std::size_t plan_position, const std::string& utc, const Message& why);
+  void append_event(const std::string& utc, std::string_view kind, const Message& text);
   void append_environment(const std::string& utc, std::string_view when,
                           std::optional<double> temperature_degc, std::optional<double> humidity_percent,
                           std::optional<double> pressure_hpa);
 
-  /// Sets the state and gives the reason in an event.
-  void set_state(RunState state, const std::string& utc, std::string_view why);
+  /// Where the file is that is being written.
+  enum class Place {
+    kInPlace,       ///< At its name.
+    kMoved,         ///< Renamed, or its folder is gone: it would be lost with the end of this program.
+    kReplaced,      ///< Another file has its name.
+    kWrittenAgain,  ///< It was deleted, and has been written again at its name, with everything in it.
+  };
+  /// Looks where the file is, and writes it again if it was deleted. Requires that no angle is being stored.
+  Place look_for_file();
+
+  /// Sets the state and gives the reason in an event. For a state in which the run does not continue, space
+  /// is kept from the beginning, also on a disk that has become full.
+  void set_state(RunState state, const std::string& utc, const Message& why);
 
   /// Called each time that another program, which reads the run, prevents closing, with the number of times
   /// so far: waits for a while and returns whether to try again.

@@ -2,12 +2,14 @@
 
 #include <stdexcept>
 
+#include "drivers/text/message.h"
+
 namespace abcal {
 
 /// The run was stopped by a person; the stage was halted and the run file can be resumed.
-class RunInterrupted : public std::runtime_error {
+class RunInterrupted : public Telling<std::runtime_error> {
  public:
-  using std::runtime_error::runtime_error;
+  using Telling::Telling;
 };
 
 }  // namespace abcal

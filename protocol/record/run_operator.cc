@@ -19,9 +19,9 @@ void note_operator(RunFile& file, const RunOperator& who, const std::string& utc
   if (who.name.empty()) return;
   if (who.verified()) {
     file.append_event(utc, kVerifiedEvent,
-                      fmt::format("{}{}{}", who.name, kSeparator, who.register_identity));
+                      Message::bare(who.name + std::string(kSeparator) + who.register_identity));
   } else {
-    file.append_event(utc, kStatedEvent, who.name);
+    file.append_event(utc, kStatedEvent, Message::bare(who.name));
   }
 }
 
@@ -32,10 +32,11 @@ std::vector<RunOperator> operators_of(const StoredRun& run) {
       operators.push_back(std::move(who));
   };
   for (const RunEvent& event : run.events) {
-    if (event.kind == kStatedEvent) add({event.text, {}});
+    const std::string text = event.text;
+    if (event.kind == kStatedEvent) add({text, {}});
     if (event.kind != kVerifiedEvent) continue;
-    const std::size_t at = event.text.rfind(kSeparator);
-    if (at != std::string::npos) add({event.text.substr(0, at), event.text.substr(at + kSeparator.size())});
+    const std::size_t at = text.rfind(kSeparator);
+    if (at != std::string::npos) add({text.substr(0, at), text.substr(at + kSeparator.size())});
   }
   const auto stated = run.header.labels.find("operator.name");
   if (operators.empty() && stated != run.header.labels.end()) add({stated->second, {}});

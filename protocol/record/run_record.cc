@@ -41,6 +41,10 @@ bool has_two_faces(const RunRecord& record) {
   return std::ranges::any_of(record.dwells, [](const DwellRecord& dwell) { return dwell.face == 2; });
 }
 
+bool has_angles(const RunRecord& record) {
+  return std::ranges::any_of(record.dwells, [](const DwellRecord& dwell) { return dwell.experiment > 0; });
+}
+
 bool backlash_is_left(const RunRecord& record) {
   if (!record.approach || *record.approach > Angle{}) return false;
   std::vector<std::array<Angle, 2>> poses;

@@ -82,6 +82,8 @@ struct DwellRecord {
   std::uint32_t flags = kFlagNone;
   int face = 1;                       ///< 1 or 2 (protocol/plan/faces.h).
   std::optional<DwellMotion> motion;  ///< Absent: at rest.
+  std::size_t first_line = 0,
+              last_line = 0;  ///< Lines of a table without angles, from 1; 0: of no such table.
 };
 
 /// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
@@ -154,7 +156,11 @@ struct RunRecord {
   /// The file has no times and does not state that its rows are in the order of measurement.
   bool order_assumed = false;
   std::vector<CheckDwell> check_poses;  ///< In the order of measurement; empty where none were planned.
+  std::vector<std::string> read_as;  ///< How a table was understood, in at most three lines; empty: no table.
 };
+
+/// Whether the dwells are at angles of experiments; false: of poses whose angles are not known.
+bool has_angles(const RunRecord& record);
 
 /// Whether the backlash of the axes is part of the readings: the run states that angles were not approached
 /// from below, and an axis turned both ways.

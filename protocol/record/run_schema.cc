@@ -3,7 +3,11 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <cstdlib>
+#include <map>
+#include <string>
 #include <string_view>
 #include <system_error>
 #include <vector>
@@ -26,6 +30,17 @@ create table plan(position integer primary key, experiment integer, n integer, c
 create table environment(id integer primary key, utc text, moment text, temperature_degc real,
                          humidity_percent real, pressure_hpa real);
 create table event(id integer primary key, utc text, who text, kind text, text text, chain text);
+)";
+
+/// Version 2 alone has it.
+constexpr const char* kDwellsOfVersion2 = R"(
+create table dwell(id integer primary key, position integer not null references plan, experiment integer, n integer,
+                   closing integer, alpha_deg real, commanded_x_deg real, commanded_z_deg real, encoder_x_deg real,
+                   encoder_z_deg real, time_s real, settle_s real, count integer, lost integer,
+                   r_u real, r_v real, r_w real, spread_u real, spread_v real, spread_w real,
+                   u_u real, u_v real, u_w real, temperature_degc real, flags integer, flag_words text);
+create table reading(dwell integer not null references dwell, k integer not null, sequence integer, time_s real,
+                     u real, v real, w real, temperature_degc real, primary key(dwell, k)) without rowid;
 )";
 
 /// New in version 3. A reading holds the differences from the constants of its dwell; the view timed_reading
@@ -98,6 +113,31 @@ create view timed_reading as
   from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session;
 )";
 
+/// New in version 6: the last event and the last reading of the room's conditions before the dwell, which its
+/// link covers.
+constexpr const char* kChangesOfVersion6 = R"(
+alter table dwell add column event integer;
+alter table dwell add column environment integer;
+)";
+
+struct OptionalTable {
+  std::string_view name;
+  const char* sql;
+};
+constexpr std::array<OptionalTable, 3> kOptionalTables{
+    {{"wire",
+      "create table if not exists wire(id integer primary key, role text, time_ns integer, arrival_ns "
+      "integer, kind text, bytes blob)"},
+     // The event gives the reason.
+     {"item_drop",
+      "create table if not exists item_drop(item integer primary key references item, position integer not "
+      "null, event integer not null references event)"},
+     // Sentences and values of the texts of events: what an event says in another language. They count only
+     // where they make exactly the text of their event.
+     {"message",
+      "create table if not exists message(event integer primary key references event, message text not "
+      "null)"}}};
+
 /// A program that was killed may leave a change half made, which a read-only connection cannot take back.
 void recover(const std::filesystem::path& path) {
   std::error_code ignored;
@@ -118,12 +158,17 @@ std::string meta_value(SqliteDatabase& database, const std::string& key) {
 
 }  // namespace
 
-void create_run_schema(SqliteDatabase& database) {
-  mark_version(database, kRunFileVersion);
+void create_run_schema(SqliteDatabase& database, std::int64_t version) {
+  mark_version(database, version);
   database.execute(kTablesOfVersion2);
   database.execute(kTablesOfVersion3);
-  database.execute(kTablesOfVersion4);
-  database.execute(kChangesOfVersion5);
+  if (version >= 4) database.execute(kTablesOfVersion4);
+  if (version >= 5) database.execute(kChangesOfVersion5);
+  if (version >= 6) database.execute(kChangesOfVersion6);
+}
+
+void create_optional_table(SqliteDatabase& database, std::string_view name) {
+  database.execute(std::ranges::find(kOptionalTables, name, &OptionalTable::name)->sql);
 }
 
 std::int64_t run_file_version(SqliteDatabase& database) {
@@ -136,6 +181,10 @@ bool has_faces(SqliteDatabase& database) {
 
 bool has_reading_gaps(SqliteDatabase& database) {
   return run_file_version(database) >= 5;
+}
+
+bool links_all(SqliteDatabase& database) {
+  return run_file_version(database) >= 6;
 }
 
 namespace {
@@ -163,18 +212,100 @@ bool begins_as_sqlite(const std::filesystem::path& path) {
   return first_bytes(path, kSqliteMagic.size()) == kSqliteMagic;
 }
 
+bool is_ros2_bag(const std::filesystem::path& path) {
+  // SQLite file format, section 1.3: a run file has the application id "ABCL" there, and need not be opened.
+  constexpr std::size_t kApplicationIdAt = 68;
+  constexpr std::string_view kOfRunFiles = "ABCL";
+  if (first_bytes(path, kApplicationIdAt + kOfRunFiles.size()).ends_with(kOfRunFiles)) return false;
+  try {
+    SqliteDatabase database(path, SqliteDatabase::Mode::kReadOnly);
+    return database.has_table("topics") && database.has_table("messages");
+  } catch (const RunFileError&) {  // Whoever reads it reports what is wrong.
+    return false;
+  }
+}
+
+bool uses_write_ahead_log(const std::filesystem::path& path) {
+  constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
+  const std::string head = first_bytes(path, kReadVersionAt + 1);
+  return head.size() > kReadVersionAt && head[kReadVersionAt] == 2;
+}
+
 namespace {
 
-/// A view in the place of a table can be endless, and a trigger can make unwanted changes.
-void require_plain_tables(const std::filesystem::path& path, SqliteDatabase& database) {
-  const auto foreign = database.value(
-      "select case when type = 'table' then 'virtual table' else type end || ' \"' || name || '\"' from "
-      "sqlite_master where (type in ('view', 'trigger') and name <> 'timed_reading') or "
-      "(type = 'table' and sql like 'create virtual%') limit 1");
-  if (foreign) {
-    throw RunFileError(path.string() + ": has the " + *foreign +
-                       ", which no run file has: another program has changed it, and it is not read");
+/// Largest text or blob of a run file, in bytes. The largest that abcal writes is a bench file.
+constexpr int kLargestValue = 64 << 20;
+
+/// Name and text of each table, view, index and trigger that was made by words of its own.
+std::map<std::string, std::string> schema_of(SqliteDatabase& database) {
+  std::map<std::string, std::string> schema;
+  SqliteStatement rows =
+      database.prepare("select type || ' \"' || name || '\"', sql from sqlite_master where sql is not null");
+  while (rows.step()) schema.emplace(rows.text(0), rows.text(1));
+  return schema;
+}
+
+/// The schema of a version.
+struct KnownSchema {
+  std::map<std::string, std::string> required, allowed;
+};
+
+KnownSchema make_known_schema(std::int64_t version) {
+  SqliteDatabase model(":memory:", SqliteDatabase::Mode::kCreate);
+  if (version >= 3) {
+    create_run_schema(model, version);
+  } else {
+    model.execute(kTablesOfVersion2);
+    model.execute(kDwellsOfVersion2);
   }
+  KnownSchema known{schema_of(model), {}};
+  for (const OptionalTable& table : kOptionalTables) create_optional_table(model, table.name);
+  known.allowed = schema_of(model);
+  return known;
+}
+
+const KnownSchema& known_schema(std::int64_t version) {
+  static const auto known = [] {
+    std::array<KnownSchema, kRunFileVersion + 1> of_versions;
+    for (std::size_t k = 0; k < of_versions.size(); ++k)
+      of_versions[k] = make_known_schema(static_cast<std::int64_t>(k));
+    return of_versions;
+  }();
+  return known.at(static_cast<std::size_t>(version));
+}
+
+/// The list gives what is allowed, by its whole text: a view can be endless or show other readings, a trigger
+/// can make unwanted changes, and no link covers a table or column that this program does not know.
+void require_known_schema(const std::filesystem::path& path, SqliteDatabase& database) {
+  const KnownSchema& known = known_schema(run_file_version(database));
+  const std::map<std::string, std::string> found = schema_of(database);
+  const auto refuse = [&](const char* has, const std::string& what, const char* why) {
+    throw RunFileError(fmt::format("{}: {} the {}, {}: another program has changed it, and it is not read",
+                                   path.string(), has, what, why));
+  };
+  for (const auto& [what, sql] : found) {
+    const auto like = known.allowed.find(what);
+    if (like == known.allowed.end()) refuse("has", what, "which no run file has");
+    if (like->second != sql) refuse("has", what, "which is not that of a run file");
+  }
+  for (const auto& [what, sql] : known.required)
+    if (!found.contains(what)) refuse("lacks", what, "which every run file of its version has");
+}
+
+/// SQLite reads a log that lies beside a file, also if the file has none, and would show what is in the log.
+void require_no_foreign_log(const std::filesystem::path& path) {
+  const std::filesystem::path log = path.string() + "-wal";
+  const auto has_log = [&] {
+    std::error_code error;
+    const auto size = std::filesystem::file_size(log, error);
+    return !error && size > 0;
+  };
+  // A log is made after the file says that it has one, and removed before it says that it has none.
+  if (!has_log() || uses_write_ahead_log(path) || !has_log()) return;
+  throw RunFileError(
+      fmt::format("{}: is not of {}, which is a single file and has no log: another program has put it "
+                  "there, and the run is not read with it; required: no such file",
+                  log.string(), path.string()));
 }
 
 }  // namespace
@@ -190,7 +321,9 @@ SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, Sqlite
     throw RunFileError(path.string() + ": is not a run file (it does not begin like an SQLite file)");
   }
   recover(path);
+  require_no_foreign_log(path);
   SqliteDatabase database(path, mode);
+  database.limit_values(kLargestValue);
   const std::string application = database.value("pragma application_id").value_or("");
   if (application != std::to_string(kRunFileApplicationId)) {
     throw RunFileError(path.string() + ": is an SQLite file of another program (application id " +
@@ -201,7 +334,7 @@ SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, Sqlite
         "{}: was written by a newer abcal (run file version {}, this program reads up to {}); update abcal",
         path.string(), version, kRunFileVersion));
   }
-  require_plain_tables(path, database);
+  require_known_schema(path, database);
   return database;
 }
 
@@ -228,9 +361,16 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
   return read_twice_if_disk_fails([&] { return open_and_check(path, mode); });
 }
 
+std::optional<std::string> state_of_run_file(const std::filesystem::path& path) {
+  return read_twice_if_disk_fails([&] {
+    return open_run_file_unchecked(path, SqliteDatabase::Mode::kReadOnly)
+        .value("select value from meta where key='state'");
+  });
+}
+
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path) {
   const std::int64_t version = run_file_version(database);
-  if (version == kRunFileVersion) return;
+  if (version >= 5) return;
   if (version < 2) {
     throw RunFileError(
         fmt::format("{}: was begun with run file version {}; this program can resume versions 2 to {}: "

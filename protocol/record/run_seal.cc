@@ -12,7 +12,9 @@ bool has_results(const std::filesystem::path& run_path) {
 }
 
 SqliteDatabase open_results(const std::filesystem::path& run_path, SqliteDatabase::Mode mode) {
-  SqliteDatabase database(ResultsFile::path_beside(run_path), mode);
+  const bool writes = mode != SqliteDatabase::Mode::kReadOnly;
+  SqliteDatabase database(writes ? ResultsFile::path_to_write(run_path) : ResultsFile::path_beside(run_path),
+                          mode);
   database.wait_at_most(std::chrono::seconds(30));  // Parallel programs add analyses.
   return database;
 }

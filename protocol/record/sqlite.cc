@@ -29,6 +29,9 @@ std::string explain(const std::string& file, int code, std::string_view message)
       return text + "; another program is using the file";
     case SQLITE_NOTADB:
       return text + "; this is not a run file";
+    case SQLITE_TOOBIG:
+      return text +
+             "; a value in it is larger than any that abcal writes: another program has changed the file";
     case SQLITE_CORRUPT:
       return text + "; the file is damaged or truncated: restore it from a copy";
     default:
@@ -188,6 +191,10 @@ void SqliteDatabase::wait_at_most(std::chrono::milliseconds patience) {
   sqlite3_busy_timeout(handle_.get(), static_cast<int>(patience.count()));
 }
 
+void SqliteDatabase::limit_values(int bytes) {
+  sqlite3_limit(handle_.get(), SQLITE_LIMIT_LENGTH, bytes);
+}
+
 void SqliteDatabase::use_write_ahead_log() {
   constexpr auto kLookAgain = std::chrono::milliseconds(10);
   constexpr const char* kSwitch = "pragma journal_mode=wal";
@@ -207,6 +214,13 @@ bool SqliteDatabase::execute_unless_busy(const std::string& sql) {
   if ((code & 0xFF) == SQLITE_BUSY) return false;
   if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errmsg(handle_.get()));
   return true;
+}
+
+bool SqliteDatabase::has_moved() {
+  int moved = 0;
+  const int code = sqlite3_file_control(handle_.get(), "main", SQLITE_FCNTL_HAS_MOVED, &moved);
+  if (code != SQLITE_OK) throw_sqlite_error(file_, code, sqlite3_errstr(code));
+  return moved != 0;
 }
 
 bool SqliteDatabase::has_table(std::string_view name) {

@@ -118,6 +118,8 @@ class SqliteDatabase {
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
   void wait_at_most(std::chrono::milliseconds patience);
+  /// Texts and blobs that are longer than so many bytes are not read or written.
+  void limit_values(int bytes);
   /// Switches to a write-ahead log, for which SQLite does not wait while another connection holds a lock.
   void use_write_ahead_log();
   void execute(const std::string& sql);
@@ -128,6 +130,8 @@ class SqliteDatabase {
   Insertion insert(std::string_view table);
   /// The first column of the first row of a query; nullopt if there is no row.
   std::optional<std::string> value(std::string_view sql);
+  /// Whether the file that is open is not, or no longer, the one of its name: renamed, removed or replaced.
+  bool has_moved();
   bool has_table(std::string_view name);
   bool has_column(std::string_view table, std::string_view column);
   std::int64_t last_row_id() const { return sqlite3_last_insert_rowid(handle_.get()); }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <set>
 
 namespace abcal {
 namespace {
@@ -106,9 +107,10 @@ Repeatabilities stated_repeatabilities(const EffectSizes& sizes) {
 }
 
 int StageRecord::runs() const {
-  std::size_t count = 0;
-  for (const Learning& learning : learnings) count += learning.runs.size();
-  return static_cast<int>(count);
+  std::set<std::string> hashes;  // A run with several items is listed for each.
+  for (const Learning& learning : learnings)
+    for (const TeachingRun& run : learning.runs) hashes.insert(run.sha256);
+  return static_cast<int>(hashes.size());
 }
 
 bool StageRecord::was_taught_by(std::string_view run_sha256) const {

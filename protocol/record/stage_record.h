@@ -15,6 +15,9 @@
 
 namespace abcal {
 
+/// Source of what a record of the stage states, in budgets and lists of sources.
+inline constexpr const char* kStageRecordSource = "record of the stage";
+
 /// An angle of one axis, modulo a turn.
 struct AxisAngle {
   char axis = 'X';                ///< 'X' or 'Z'.

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "drivers/text/letters.h"
+#include "protocol/plan/rotation_plan.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
@@ -58,8 +59,7 @@ IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
     if (link != rows.text("chain"))
       return {what, false,
               fmt::format("dwell {} (experiment {}, n = {}) or its readings, an earlier dwell, or the data "
-                          "before the first "
-                          "angle were changed",
+                          "before the first angle were changed",
                           count, rows.integer("experiment"), rows.integer("n"))};
   }
   if (!complete) return {what, true, fmt::format("{}, each linked to the previous one", count)};
@@ -73,6 +73,32 @@ IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
   return {what, true, fmt::format("{}, each with its readings linked to the previous one, sealed", count)};
 }
 
+/// Readings of a dwell that does not exist would be in no link.
+IntegrityCheck check_references(SqliteDatabase& database) {
+  const std::string what = "references";
+  const auto lost =
+      database.value("select \"table\" || ' of no ' || parent from pragma_foreign_key_check limit 1");
+  if (lost) return {what, false, "there is a " + *lost};
+  return {what, true, "each row belongs to one that exists"};
+}
+
+/// A sweep is stored as a whole: a run that is continued begins with the next one.
+IntegrityCheck check_sweeps(SqliteDatabase& database, const std::vector<PlannedAngle>& plan) {
+  const std::string what = "sweeps";
+  std::size_t sweeps = 0;
+  for (const StoredTogether& stored : stored_together(database)) {
+    if (!stored.is_swept || stored.is_check) continue;
+    ++sweeps;
+    const auto first = static_cast<std::size_t>(stored.position);
+    const std::size_t planned = first < plan.size() ? end_of_sweep(plan, first) - first : 0;
+    if (stored.angles != planned)
+      return {what, false,
+              fmt::format("the sweep from experiment {}, n = {} has {} angles; required: all {}",
+                          stored.experiment, stored.n, stored.angles, planned)};
+  }
+  return {what, true, fmt::format("{}, each with all of its angles", sweeps)};
+}
+
 /// Every item has every angle that was measured, but those after it was dropped, which an event states.
 IntegrityCheck check_items(SqliteDatabase& database, const StoredRun& stored) {
   const std::string what = "items";
@@ -80,8 +106,8 @@ IntegrityCheck check_items(SqliteDatabase& database, const StoredRun& stored) {
       static_cast<std::size_t>(std::ranges::count(stored.events, kItemDroppedEvent, &RunEvent::kind));
   std::size_t dropped = 0;
   SqliteStatement missing = database.prepare(
-      "select count(distinct position) as n from dwell where position < :before"
-      " and position not in (select position from dwell where item = :item)");
+      "select count(distinct position) as n from dwell where position < :before and position not in (select "
+      "position from dwell where item = :item)");
   SqliteStatement beyond =
       database.prepare("select count(*) as n from dwell where item = :item and position >= :before");
   for (const ItemProgress& item : stored.items) {
@@ -212,12 +238,10 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
   });
   if (!wrong.empty()) return {what, false, wrong};
   if (passed > 0)
-    return {
-        what, true,
-        fmt::format(
-            "{} angles were passed at a constant rate: their readings, {} with those of the other angles, "
-            "are counted, and their values linked, but not computed again",
-            passed, readings)};
+    return {what, true,
+            fmt::format("{} angles were passed at a constant rate: their readings, {} with those of the "
+                        "other angles, are counted, and their values linked, but not computed again",
+                        passed, readings)};
   return {what, true,
           fmt::format("means, spreads, standard uncertainties and flags of {} dwells follow from {} readings",
                       dwells, readings)};
@@ -249,6 +273,22 @@ void check_certificates_of_items(const std::filesystem::path& run, std::size_t i
   }
 }
 
+/// Compares the bytes of a closed run with its results. @return nullopt: there are none, or they state no
+/// hash
+std::optional<IntegrityCheck> check_hash(const std::filesystem::path& run) {
+  const std::filesystem::path results = ResultsFile::path_beside(run);
+  std::error_code error;
+  if (!std::filesystem::exists(results, error)) return std::nullopt;
+  SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
+  // A disk that failed may have left an empty file.
+  const auto named = database.has_table("run") ? database.value("select sha256 from run") : std::nullopt;
+  if (!named) return std::nullopt;
+  const std::string actual = sha256_of_file(run);
+  return IntegrityCheck{
+      "SHA-256", *named == actual,
+      *named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, *named)};
+}
+
 void check_results(const std::filesystem::path& run, std::size_t items, std::vector<IntegrityCheck>& checks) {
   const std::filesystem::path results = ResultsFile::path_beside(run);
   std::error_code error;
@@ -258,12 +298,8 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
                                          "creates it again, with a note that earlier analyses are unknown"});
     return;
   }
+  checks.push_back(check_hash(run).value_or(IntegrityCheck{"SHA-256", false, "the results state none"}));
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
-  const std::string named = database.value("select sha256 from run").value_or("none");
-  const std::string actual = sha256_of_file(run);
-  checks.push_back(
-      {"SHA-256", named == actual,
-       named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, named)});
   std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
   const bool is_sound = sound == "ok";
   if (database.has_column("run", "note")) {
@@ -297,7 +333,10 @@ void check_measurements(const std::filesystem::path& run, const StoredRun& store
   {
     SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
     checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
+    checks.push_back(check_references(database));
     if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, complete));
+    if (std::ranges::any_of(stored.header.plan, [](const PlannedAngle& angle) { return angle.sweep > 0; }))
+      checks.push_back(check_sweeps(database, stored.header.plan));
     if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
   }
   checks.push_back(statements.get());
@@ -305,17 +344,33 @@ void check_measurements(const std::filesystem::path& run, const StoredRun& store
 
 }  // namespace
 
-void require_unchanged(const std::filesystem::path& run) {
+namespace {
+
+/// Refuses a run that contradicts itself, or of which the results name another hash.
+/// @param so  what is not done with it
+void require_sound(const std::filesystem::path& run, const char* so) {
+  const StoredRun stored = RunFile::load(run);
   std::vector<IntegrityCheck> checks;
-  check_measurements(run, RunFile::load(run), checks);
+  check_measurements(run, stored, checks);
+  if (stored.state == RunState::kComplete)
+    if (auto hash = check_hash(run)) checks.push_back(*std::move(hash));
   std::string found;
   for (const IntegrityCheck& check : checks)
     if (!check.good) found += fmt::format("{}{}: {}", found.empty() ? "" : "; ", check.what, check.found);
   if (found.empty()) return;
-  throw RunFileError(
-      fmt::format("{}: the file was changed or is damaged: {}. It is not continued; restore it from a copy, "
-                  "or measure again",
-                  run.string(), found));
+  throw RunFileError(fmt::format(
+      "{}: the file was changed or is damaged: {}. It {}; restore it from a copy, or measure again",
+      run.string(), found, so));
+}
+
+}  // namespace
+
+void require_unchanged(const std::filesystem::path& run) {
+  require_sound(run, "is not continued");
+}
+
+void require_as_stored(const std::filesystem::path& run) {
+  require_sound(run, "gives no result");
 }
 
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
@@ -337,8 +392,7 @@ std::string attested_by(const std::filesystem::path& run) {
   return fmt::format(
       "The run and its results are consistent: the results name the SHA-256 of the run, and each entry of {} "
       "is linked to the previous one{}. There is neither a signature nor a time stamp: anyone with write "
-      "access "
-      "to both files can rebuild them consistently. Keep the SHA-256 elsewhere to detect this.",
+      "access to both files can rebuild them consistently. Keep the SHA-256 elsewhere to detect this.",
       chains_dwells ? "dwells with their readings, events, analyses and certificates"
                     : "events, analyses and certificates",
       chains_dwells ? "" : " (run file version 2 does not link dwells)");

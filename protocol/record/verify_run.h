@@ -27,6 +27,11 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run);
 /// @throws RunFileError that names what was changed, with the angle
 void require_unchanged(const std::filesystem::path& run);
 
+/// The same checks of a run that is to give a result, and that its bytes have the hash which its results
+/// name, if they name one.
+/// @throws RunFileError that names what was changed, with the angle
+void require_as_stored(const std::filesystem::path& run);
+
 /// Statements that the checks of verify_run() attest if all are good, and statements that they cannot attest.
 std::string attested_by(const std::filesystem::path& run);
 

@@ -67,8 +67,8 @@ bool DwellMeasurement::must_be_repeated(std::size_t position, const PlannedAngle
     if (left_window) fail_left_window(angle, dwell);
     return false;
   }
-  channel.context.notify(
-      "repeated", fmt::format("{}: {}; it is measured again", describe(angle), describe_flags(transient)));
+  channel.context.notify("repeated", Message("{angle}: {flags}; it is measured again", describe(angle),
+                                             describe_flags(transient)));
   if (left_window) motion_.forget_positions();
   attempts.marks |= kFlagRepeated;
   return true;
@@ -178,33 +178,34 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, ItemChannel& c
   const StoppableClock& clock = context_.clock;
   const Clock::Instant begin = clock.now();
   const auto excess = [&] { return channel.plausibility.temperature_excess(temperature_degc); };
-  channel.context.notify("temperature", fmt::format("{}: {}; waiting for the temperature to come back",
-                                                    journal.activity(), excess().value_or("")));
+  channel.context.notify("temperature",
+                         Message("{activity}: {excess}; waiting for the temperature to come back",
+                                 journal.activity(), excess().value_or(Message())));
   journal.phase(position, RunPhase::kTemperature);
   while (const auto why = excess()) {
     if (clock.now() >= deadline) {
       throw InstrumentError(channel.context.accelerometer_name(), Fault::kImplausible,
-                            fmt::format("{}; it did not come back within {} s (temperature_wait_s)", *why,
-                                        channel.context.settings.limits.temperature_wait_s));
+                            Message("{excess}; it did not come back within {seconds} s (temperature_wait_s)",
+                                    *why, channel.context.settings.limits.temperature_wait_s));
     }
     clock.wait_until(std::min(deadline, clock.now() + kTemperatureInterval));
     channel.readings.discard_pending();
     const std::vector<Reading> window = channel.readings.read(channel.settling.window_size());
     temperature_degc = dwell_statistics(window, channel.context.accelerometer_info).temperature_degc;
   }
-  channel.context.notify("temperature", fmt::format("the temperature came back after {:.0f} s",
-                                                    to_seconds(clock.now() - begin)));
+  channel.context.notify("temperature", Message("the temperature came back after {seconds:.0f} s",
+                                                to_seconds(clock.now() - begin)));
   context_.stopwatch.add_settling(clock.now() - begin);
 }
 
 void DwellMeasurement::fail_left_window(const PlannedAngle& angle, const DwellRecord& dwell) const {
   throw InstrumentError(
       context_.stage_name(), Fault::kStalled,
-      fmt::format("it does not stay at {}: X at {:.5f} deg, commanded {:.5f} deg; Z at {:.5f} deg, "
-                  "commanded {:.5f} deg; required: within {} deg (position_window_deg). Check for missed "
-                  "steps, a motor that is switched off or a cable that pulls",
-                  describe(angle), dwell.encoder_x->deg(), dwell.commanded_x.deg(), dwell.encoder_z->deg(),
-                  dwell.commanded_z.deg(), context_.settings.protocol.position_window.deg()));
+      Message("it does not stay at {angle}: X at {x:.5f} deg, commanded {commanded_x:.5f} deg; Z at {z:.5f} "
+              "deg, commanded {commanded_z:.5f} deg; required: within {window} deg (position_window_deg). "
+              "Check for missed steps, a motor that is switched off or a cable that pulls",
+              describe(angle), dwell.encoder_x->deg(), dwell.commanded_x.deg(), dwell.encoder_z->deg(),
+              dwell.commanded_z.deg(), context_.settings.protocol.position_window.deg()));
 }
 
 }  // namespace abcal

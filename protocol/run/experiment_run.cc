@@ -84,7 +84,7 @@ class ExperimentRun {
   void home(bool again) {
     for (const StageAxis axis : kStageAxes) {
       if (context_.stage_info.axes[index(axis)].referenced && !again) continue;
-      context_.journal.set_activity(fmt::format("homing axis {}", to_string(axis)));
+      context_.journal.set_activity(Message("homing axis {axis}", to_string(axis)));
       context_.journal.phase(0, RunPhase::kHoming);
       const Clock::Instant begin = context_.clock.now();
       motion_.home(axis);
@@ -136,12 +136,17 @@ class ExperimentRun {
     for (const auto& channel : items_.take_failed()) {
       const std::size_t others = items_.active().size();
       channel->accelerometer.stop();
-      context_.journal.drop_item(
-          channel->k, next_position(),
-          fmt::format("{} (SN {}) is left out from here on: {} ({}); the run goes on with the other{}",
-                      channel->context.accelerometer_name(),
-                      channel->context.accelerometer_info.serial_number, channel->failure->what(),
-                      context_.journal.activity(), others == 1 ? "" : fmt::format(" {}", others)));
+      const Message item = channel->context.accelerometer_words(), fault = channel->failure->message();
+      const std::string& serial = channel->context.accelerometer_info.serial_number;
+      const Message& activity = context_.journal.activity();
+      context_.journal.drop_item(channel->k, next_position(),
+                                 others == 1
+                                     ? Message("{item} (SN {serial}) is left out from here on: {fault} "
+                                               "({activity}); the run goes on with the other",
+                                               item, serial, fault, activity)
+                                     : Message("{item} (SN {serial}) is left out from here on: {fault} "
+                                               "({activity}); the run goes on with the other {others}",
+                                               item, serial, fault, activity, others));
     }
   }
 
@@ -156,13 +161,38 @@ class ExperimentRun {
   void hold_if_wanted(std::size_t position) {
     RunJournal& journal = context_.journal;
     if (!journal.hold_wanted()) return;
-    journal.set_activity("held before " + describe(plan_[position]));
+    journal.set_activity(Message("held before {angle}", describe(plan_[position])));
     journal.record("held", journal.activity());
     journal.phase(position, RunPhase::kHolding);
     while (journal.hold_wanted()) {
       context_.clock.wait_until(context_.clock.now() + StoppableClock::kSlice);
     }
     journal.record("continued", describe(plan_[position]));
+  }
+
+  /// A run file that was renamed, moved or deleted would be lost: written again where that is possible, else
+  /// the run is held until the file is back.
+  void keep_file(std::size_t position) {
+    RunFile::Place place = file_.look_for_file();
+    if (place == RunFile::Place::kInPlace) return;
+    RunJournal& journal = context_.journal;
+    const std::string name = file_.path().string();
+    if (place != RunFile::Place::kWrittenAgain) {
+      journal.set_activity(
+          place == RunFile::Place::kMoved
+              ? Message("held: {file} is not at its name any more; give it its name and folder back", name)
+              : Message("held: {file} is another file now; move that away and give the run its name back",
+                        name));
+      journal.notify(kFileEvent, journal.activity());
+      journal.phase(position, RunPhase::kHolding);
+      while (place == RunFile::Place::kMoved || place == RunFile::Place::kReplaced) {
+        context_.clock.wait_until(context_.clock.now() + StoppableClock::kSlice);
+        place = file_.look_for_file();
+      }
+    }
+    journal.notify(kFileEvent, place == RunFile::Place::kWrittenAgain
+                                   ? Message("{file} was deleted, and has been written again whole", name)
+                                   : Message("{file} is at its name again", name));
   }
 
   /// One angle; of a sweep, with the whole of it.
@@ -196,12 +226,12 @@ class ExperimentRun {
       if (std::abs(change[j]) <= explained[j]) continue;
       throw InstrumentError(
           channel.context.accelerometer_name(), Fault::kImplausible,
-          fmt::format(
-              "output {} at {} reads {:.7g} now and read {:.7g} before the interruption, a change of "
-              "{:.2g}; required: at most {:.2g}, as noise, drift and the stated uncertainties of the stage "
-              "explain. The accelerometer or the reference of the stage has moved: begin a new run",
-              "uvw"[j], describe(angle), now.dwell.mean[j], before.mean[j], std::abs(change[j]),
-              explained[j]));
+          Message("output {output} at {angle} reads {now:.7g} now and read {before:.7g} before the "
+                  "interruption, a change of {change:.2g}; required: at most {allowed:.2g}, as noise, drift "
+                  "and the stated uncertainties of the stage explain. The accelerometer or the reference of "
+                  "the stage has moved: begin a new run",
+                  "uvw"[j], describe(angle), now.dwell.mean[j], before.mean[j], std::abs(change[j]),
+                  explained[j]));
     }
   }
 
@@ -212,8 +242,8 @@ class ExperimentRun {
     file_.append_dwells(position, measured, context_.stopwatch.timing());
     tell_stage_events();
     for (const ItemDwell& each : measured) remember(each);
-    if (is_check) return;
-    tell(position, measured);
+    if (!is_check) tell(position, measured);
+    keep_file(position);
   }
 
   /// All angles of a sweep at once.
@@ -226,6 +256,7 @@ class ExperimentRun {
       for (const ItemDwell& each : angle.dwells) remember(each);
       tell(angle.position, angle.dwells);
     }
+    keep_file(passed.back().position);
   }
 
   /// No angle is flagged: a whole circle shows the response, and the analysis judges it.
@@ -257,15 +288,15 @@ class ExperimentRun {
     ItemChannel& channel = items_.of(measured.item);
     const DwellRecord& dwell = measured.dwell;
     if (dwell.flags != kFlagNone)
-      channel.context.notify(kFlagEvent,
-                             fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
+      channel.context.notify(kFlagEvent, Message("{activity}: {flags}", context_.journal.activity(),
+                                                 describe_flags(dwell.flags)));
     channel.plausibility.remember(dwell);
     if (dwell.motion) return;  // Its spread is that of a moving stage.
     channel.settling.spreads().add(dwell.spread, channel.context.accelerometer_info.resolution.value_or(0.0));
   }
 
   void park() {
-    context_.journal.set_activity("parking the stage");
+    context_.journal.set_activity(Message("parking the stage"));
     context_.journal.phase(plan_.size(), RunPhase::kParking);
     const Clock::Instant begin = context_.clock.now();
     try {
@@ -274,8 +305,9 @@ class ExperimentRun {
       // All angles are measured: the run is complete nevertheless, but the operator must know.
       const HaltOutcome halt = halt_stage(instruments_.stage);
       context_.journal.notify(
-          "park failed", fmt::format("all angles are measured, but the stage could not be parked: {}; {}",
-                                     error.what(), halt.words));
+          "park failed",
+          Message("all angles are measured, but the stage could not be parked: {fault}; {halt}",
+                  error.message(), halt.words));
     }
     context_.stopwatch.add_moving(context_.clock.now() - begin);
   }
@@ -295,7 +327,7 @@ class ExperimentRun {
 
 /// Why a run ended early.
 struct RunFailure {
-  std::string reason;
+  Message reason;
   std::optional<InstrumentError> instrument_error;
   bool by_operator = false;
 };
@@ -303,25 +335,28 @@ struct RunFailure {
 /// Halts the stage, stops the accelerometer, leaves the run interrupted with the reason in its file, and
 /// throws it.
 [[noreturn]] void end_early(const RunInstruments& instruments, const RunFailure& failure,
-                            const std::string& activity, RunFile& file) {
+                            const Message& activity, RunFile& file) {
   const HaltOutcome halt = halt_stage(instruments.stage);
   for (const ItemInstrument& item : instruments.items) item.accelerometer.stop();
-  std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
-  const std::string& reason = failure.reason;
+  std::optional<Message> not_stored;
+  const auto with_consequences = [&](const Message& why) {
+    const Message all("{why} ({activity}); {halt}", why, activity, halt.words);
+    return not_stored ? Message("{all}; the reason could not be stored ({error})", all, *not_stored) : all;
+  };
   try {
     const std::string utc = format_utc(file.utc_now(instruments.clock));
     for (const StageEvent& event : instruments.stage.take_events()) {
       file.append_event(utc, event.kind, event.text);
     }
-    file.set_state(RunState::kInterrupted, utc, reason + consequences);
+    file.set_state(RunState::kInterrupted, utc, with_consequences(failure.reason));
   } catch (const RunFileError& error) {
-    consequences += fmt::format("; the reason could not be stored ({})", error.what());
+    not_stored = message_of(error);
   }
-  if (failure.by_operator) throw RunInterrupted(reason + consequences);
+  if (failure.by_operator) throw RunInterrupted(with_consequences(failure.reason));
   if (const auto& error = failure.instrument_error) {
-    throw InstrumentError(error->instrument(), error->fault(), error->detail() + consequences);
+    throw InstrumentError(error->instrument(), error->fault(), with_consequences(error->detail()));
   }
-  throw RunFileError(reason + consequences);
+  throw RunFileError(with_consequences(failure.reason));
 }
 
 }  // namespace
@@ -354,13 +389,13 @@ RunTiming run_experiments(const RunInstruments& instruments, const RunTask& task
     context.stage_info = instruments.stage.identify();
     return ExperimentRun(instruments, task, context, file).run();
   } catch (const RunInterrupted& error) {
-    failure = {error.what(), std::nullopt, true};
+    failure = {error.message(), std::nullopt, true};
   } catch (const InstrumentError& error) {
     // A halt from another thread makes the exchange under way fail: that is the operator's stop, not a fault.
     const bool by_operator = stop.stop_requested();
-    failure = {by_operator ? "stopped by the operator" : error.what(), error, by_operator};
+    failure = {by_operator ? Message("stopped by the operator") : error.message(), error, by_operator};
   } catch (const std::exception& error) {
-    failure.reason = error.what();
+    failure.reason = message_of(error);
   }
   end_early(instruments, failure, context.journal.activity(), file);
 }

@@ -1,8 +1,7 @@
 #pragma once
 
-#include <string>
-
 #include "drivers/instrument/rotation_stage.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -10,7 +9,7 @@ namespace abcal {
 struct HaltOutcome {
   bool acknowledged = false;  ///< By every axis.
   /// "the stage is halted"; or which axis may still be moving, and what to do.
-  std::string words;
+  Message words;
 };
 
 /// Halts all axes, also if one of them cannot be reached.

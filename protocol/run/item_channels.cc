@@ -69,7 +69,7 @@ ItemChannel& ItemChannels::of(int item) const {
 InstrumentError ItemChannels::named(const ItemChannel& channel, const InstrumentError& error) const {
   if (!several_ || error.instrument() == channel.context.accelerometer_name()) return error;
   return {channel.context.accelerometer_name(), error.fault(),
-          fmt::format("{}: {}", error.instrument(), error.detail())};
+          Message("{instrument}: {detail}", error.instrument(), error.detail())};
 }
 
 void ItemChannels::each(const Channels& channels, const std::function<void(ItemChannel&)>& call) const {
@@ -109,7 +109,7 @@ void ItemChannels::stop() const noexcept {
 
 void ItemChannels::wait_until_stable() const {
   if (!(context_.settings.protocol.stability_s > 0.0)) return;
-  context_.journal.set_activity("waiting for stable outputs and temperature");
+  context_.journal.set_activity(Message("waiting for stable outputs and temperature"));
   context_.journal.phase(0, RunPhase::kWarmingUp);
   const Clock::Instant begin = context_.clock.now();
   each([](ItemChannel& channel) { channel.readings.discard_pending(); });
@@ -120,7 +120,7 @@ void ItemChannels::wait_until_stable() const {
   }
   const Clock::Duration elapsed = context_.clock.now() - begin;
   context_.journal.notify(
-      "stable", fmt::format("outputs and temperature are stable after {:.0f} s", to_seconds(elapsed)));
+      "stable", Message("outputs and temperature are stable after {seconds:.0f} s", to_seconds(elapsed)));
   context_.stopwatch.add_settling(elapsed);
 }
 

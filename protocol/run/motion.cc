@@ -27,15 +27,15 @@ void Motion::home(StageAxis axis) {
     if (context_.clock.now() > deadline) {
       throw InstrumentError(
           context_.stage_name(), Fault::kStalled,
-          fmt::format("axis {} is still searching for its reference after {} s (homing_timeout_s)",
-                      to_string(axis), protocol.homing_timeout_s));
+          Message("axis {axis} is still searching for its reference after {seconds} s (homing_timeout_s)",
+                  to_string(axis), protocol.homing_timeout_s));
     }
     context_.clock.wait_until(context_.clock.now() + from_seconds(protocol.poll_interval_s));
   }
   context_.stage_info = stage_.identify();
   if (!context_.stage_info.axes[index(axis)].referenced) {
     throw InstrumentError(context_.stage_name(), Fault::kNotReady,
-                          fmt::format("axis {} stopped without finding its reference", to_string(axis)));
+                          Message("axis {axis} stopped without finding its reference", to_string(axis)));
   }
 }
 
@@ -133,18 +133,20 @@ Clock::Instant Motion::wait_for_arrival(const Move& move, double expected_s) {
 void Motion::fail_outside_window(const Move& move, Angle encoder) const {
   throw InstrumentError(
       context_.stage_name(), Fault::kStalled,
-      fmt::format("axis {} stopped at {:.5f} deg, commanded {:.5f} deg; required: within {} deg "
-                  "(position_window_deg). Check for a missed step, a limit switch or a cable that pulls",
-                  to_string(move.axis), encoder.deg(), move.target.deg(), move.window.deg()));
+      Message(
+          "axis {axis} stopped at {found:.5f} deg, commanded {commanded:.5f} deg; required: within {window} "
+          "deg (position_window_deg). Check for a missed step, a limit switch or a cable that pulls",
+          to_string(move.axis), encoder.deg(), move.target.deg(), move.window.deg()));
 }
 
 void Motion::fail_still_moving(const Move& move, double elapsed_s, double expected_s) {
   throw InstrumentError(
       context_.stage_name(), Fault::kStalled,
-      fmt::format("axis {} is still moving {:.1f} s after the command to {:.5f} deg, encoder at {:.5f} deg "
-                  "(motion_timeout_s = {} beyond the {:.1f} s the move needs)",
-                  to_string(move.axis), elapsed_s, move.target.deg(), stage_.encoder_angle(move.axis).deg(),
-                  context_.settings.protocol.motion_timeout_s, expected_s));
+      Message(
+          "axis {axis} is still moving {elapsed:.1f} s after the command to {commanded:.5f} deg, encoder at "
+          "{encoder:.5f} deg (motion_timeout_s = {timeout} beyond the {expected:.1f} s the move needs)",
+          to_string(move.axis), elapsed_s, move.target.deg(), stage_.encoder_angle(move.axis).deg(),
+          context_.settings.protocol.motion_timeout_s, expected_s));
 }
 
 bool Motion::is_inside_window(const PlannedAngle& angle, Angle encoder_x, Angle encoder_z) const {

@@ -25,32 +25,31 @@ PlausibilityCheck::PlausibilityCheck(const RunContext& context, std::optional<do
 
 void PlausibilityCheck::require_possible(const PlannedAngle& angle, const DwellStatistics& statistics,
                                          std::size_t read) const {
-  const auto fail = [&](const std::string& detail) {
+  const auto fail = [&](const Message& detail) {
     throw InstrumentError(context_.accelerometer_name(), Fault::kImplausible, detail);
   };
   const auto total = static_cast<double>(read);
   if (static_cast<double>(statistics.not_finite) > 0.5 * total) {
     fail(
-        fmt::format("{} of {} readings at {} are not finite numbers; check the output settings and the "
-                    "condition of the instrument",
-                    statistics.not_finite, read, describe(angle)));
+        Message("{bad} of {all} readings at {angle} are not finite numbers; check the output settings and "
+                "the condition of the instrument",
+                statistics.not_finite, read, describe(angle)));
   }
   const double made = total + static_cast<double>(statistics.lost);
   const double max_lost_fraction = context_.settings.limits.max_lost_fraction;
   if (static_cast<double>(statistics.lost) > max_lost_fraction * made) {
     fail(
-        fmt::format("{} of {} readings were lost at {}; required: at most {:.0f} % "
-                    "([limits] max_lost_fraction). Check the cable, the baud rate and the load "
-                    "of this computer",
-                    statistics.lost, made, describe(angle), 100.0 * max_lost_fraction));
+        Message("{lost} of {all} readings were lost at {angle}; required: at most {allowed:.0f} % ([limits] "
+                "max_lost_fraction). Check the cable, the baud rate and the load of this computer",
+                statistics.lost, made, describe(angle), 100.0 * max_lost_fraction));
   }
   // Exactly the same three numbers at two poses: the output does not follow the stage.
   if (previous_mean_ && statistics.count >= kLeastReadingsForStuck && statistics.spread.isZero(0.0) &&
       statistics.mean == *previous_mean_) {
     fail(
-        fmt::format("all {} readings at {} are ({}, {}, {}), the same as at the angle before: the "
-                    "output is stuck",
-                    read, describe(angle), statistics.mean[0], statistics.mean[1], statistics.mean[2]));
+        Message("all {all} readings at {angle} are ({u}, {v}, {w}), the same as at the angle before: the "
+                "output is stuck",
+                read, describe(angle), statistics.mean[0], statistics.mean[1], statistics.mean[2]));
   }
   if (context_.beside_others) require_direction_of_gravity(angle, statistics.mean);
 }
@@ -69,12 +68,12 @@ void PlausibilityCheck::require_direction_of_gravity(const PlannedAngle& angle,
   if (off <= limits.mounting) return;
   throw InstrumentError(
       context_.accelerometer_name(), Fault::kImplausible,
-      fmt::format("at {} it reads ({:.4g}, {:.4g}, {:.4g}), {:.0f} deg from the direction that gravity has "
-                  "for its mounting \"{}\"; required: at most {:g} deg ([limits] mounting_deg). It may have "
-                  "come loose, or its mounting in the bench file is wrong: look at it before the stage moves "
-                  "again",
-                  describe(angle), mean[0], mean[1], mean[2], off.deg(), context_.settings.expected.mounting,
-                  limits.mounting.deg()));
+      Message("at {angle} it reads ({u:.4g}, {v:.4g}, {w:.4g}), {off:.0f} deg from the direction that "
+              "gravity has for its mounting \"{mounting}\"; required: at most {allowed:g} deg ([limits] "
+              "mounting_deg). It may have come loose, or its mounting in the bench file is wrong: look at it "
+              "before the stage moves again",
+              describe(angle), mean[0], mean[1], mean[2], off.deg(), context_.settings.expected.mounting,
+              limits.mounting.deg()));
 }
 
 std::uint32_t PlausibilityCheck::flags(const DwellStatistics& statistics,
@@ -89,13 +88,12 @@ std::uint32_t PlausibilityCheck::flags(const DwellStatistics& statistics,
   return flags;
 }
 
-std::optional<std::string> PlausibilityCheck::temperature_excess(
-    std::optional<double> temperature_degc) const {
+std::optional<Message> PlausibilityCheck::temperature_excess(std::optional<double> temperature_degc) const {
   return abcal::temperature_excess(temperature_degc, first_temperature_degc_, context_.settings.limits,
                                    context_.settings.tolerances);
 }
 
-std::optional<std::string> PlausibilityCheck::full_scale_excess(const DwellRecord& dwell, bool last) {
+std::optional<Message> PlausibilityCheck::full_scale_excess(const DwellRecord& dwell, bool last) {
   if (!circle_.empty() && !is_same_circle(circle_.back(), dwell)) circle_.clear();
   circle_.push_back(dwell);
   if (!last || !nominal_ || dwell.experiment == 0) return std::nullopt;

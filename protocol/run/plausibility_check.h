@@ -33,11 +33,11 @@ class PlausibilityCheck {
                       const std::optional<Eigen::Vector3d>& usual_spread) const;
 
   /// Description of a temperature outside its limits.
-  std::optional<std::string> temperature_excess(std::optional<double> temperature_degc) const;
+  std::optional<Message> temperature_excess(std::optional<double> temperature_degc) const;
 
   /// Description of a wrong unit or full scale that the circle of an experiment shows; else absent.
   /// @param dwell  One more angle of the experiment. @param last  It is the last one.
-  std::optional<std::string> full_scale_excess(const DwellRecord& dwell, bool last);
+  std::optional<Message> full_scale_excess(const DwellRecord& dwell, bool last);
 
   /// Keeps a measured angle: the next one is compared with it.
   void remember(const DwellRecord& dwell);

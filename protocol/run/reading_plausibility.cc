@@ -57,23 +57,23 @@ bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vec
   return false;
 }
 
-std::optional<std::string> temperature_excess(std::optional<double> temperature_degc,
-                                              std::optional<double> first_degc, const LimitsConfig& limits,
-                                              const Tolerances& tolerances) {
+std::optional<Message> temperature_excess(std::optional<double> temperature_degc,
+                                          std::optional<double> first_degc, const LimitsConfig& limits,
+                                          const Tolerances& tolerances) {
   if (!temperature_degc) return std::nullopt;
   const double t = *temperature_degc;
   const bool inside = t >= limits.temperature_min_degc && t <= limits.temperature_max_degc;
   if (!inside) {
-    return fmt::format(
-        "temperature {:.2f} degC; required: {:g} to {:g} degC ([limits] temperature_min_degc, "
-        "temperature_max_degc)",
+    return Message(
+        "temperature {found:.2f} degC; required: {lowest:g} to {highest:g} degC ([limits] "
+        "temperature_min_degc, temperature_max_degc)",
         t, limits.temperature_min_degc, limits.temperature_max_degc);
   }
   const double allowed = temperature_change_limit_degc(limits, tolerances);
   if (first_degc && !(std::abs(t - *first_degc) <= allowed)) {
-    return fmt::format(
-        "temperature {:.2f} degC, {:+.2f} from the first angle; required: within {:.2g} degC of it ([limits] "
-        "temperature_change_degc)",
+    return Message(
+        "temperature {found:.2f} degC, {change:+.2f} from the first angle; required: within {allowed:.2g} "
+        "degC of it ([limits] temperature_change_degc)",
         t, t - *first_degc, allowed);
   }
   return std::nullopt;
@@ -119,8 +119,8 @@ std::optional<CircleResponse> response_of_circle(std::span<const DwellRecord> ex
   return CircleResponse{std::sqrt(0.5 * at_zero), std::sqrt(0.5 * at_one_g)};
 }
 
-std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
-                                             const ExpectedItem& item) {
+std::optional<Message> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
+                                         const ExpectedItem& item) {
   const auto response = response_of_circle(experiment);
   if (!response) return std::nullopt;
   double variance = 0.0;
@@ -135,10 +135,10 @@ std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experi
   const double nearest = std::clamp(nominal, least, most);
   const double difference = nearest / nominal - 1.0;
   if (std::abs(difference) <= limit) return std::nullopt;
-  return fmt::format(
-      "experiment {}: the response to local gravity is {:.6g}, {:+.3g} % from the nominal {:.6g}; required: "
-      "within {:.2g} % ([item] sensitivity_tolerance). Check unit, full scale and scale "
-      "factor",
+  return Message(
+      "experiment {experiment}: the response to local gravity is {found:.6g}, {difference:+.3g} % from the "
+      "nominal {nominal:.6g}; required: within {allowed:.2g} % ([item] sensitivity_tolerance). Check unit, "
+      "full scale and scale factor",
       experiment.front().experiment, nearest, 100.0 * difference, nominal, 100.0 * limit);
 }
 

@@ -27,9 +27,9 @@ bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vec
                double resolution, const LimitsConfig& limits);
 
 /// Description of a temperature outside its limits; absent if it is within them or not known.
-std::optional<std::string> temperature_excess(std::optional<double> temperature_degc,
-                                              std::optional<double> first_degc, const LimitsConfig& limits,
-                                              const Tolerances& tolerances);
+std::optional<Message> temperature_excess(std::optional<double> temperature_degc,
+                                          std::optional<double> first_degc, const LimitsConfig& limits,
+                                          const Tolerances& tolerances);
 
 /// Whether the norm of the readings at one angle, offset included, cannot be local gravity.
 /// @param nominal  R for one g_loc
@@ -48,8 +48,8 @@ struct CircleResponse {
 std::optional<CircleResponse> response_of_circle(std::span<const DwellRecord> experiment);
 
 /// Description of a wrong full scale; absent if it is as nominal.
-std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
-                                             const ExpectedItem& item);
+std::optional<Message> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
+                                         const ExpectedItem& item);
 
 /// Means over one window of readings before the first angle. is_stable() tests whether the run may begin:
 /// means and temperatures stay within their limits over the last `stability_s` of the windows.

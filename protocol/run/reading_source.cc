@@ -53,10 +53,11 @@ Reading ReadingSource::read_one() {
     look_at_others();
     if (reading) return *std::move(reading);
     if (now >= deadline) {  // It was asked after the deadline, and had nothing.
-      throw InstrumentError(context_.accelerometer_name(), Fault::kNoReply,
-                            fmt::format("no reading for {} s (reading_timeout_s), after {} readings. Check "
-                                        "the cable, the supply, and whether another program has stopped it",
-                                        timeout_s, accelerometer_.health().readings));
+      throw InstrumentError(
+          context_.accelerometer_name(), Fault::kNoReply,
+          Message("no reading for {seconds} s (reading_timeout_s), after {readings} readings. Check the "
+                  "cable, the supply, and whether another program has stopped it",
+                  timeout_s, accelerometer_.health().readings));
     }
   }
 }

@@ -48,9 +48,9 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
   if (++times_lost_ > limits.max_replugs) {
     throw InstrumentError(
         lost.instrument(), Fault::kLinkLost,
-        fmt::format("{}; ports have vanished {} times in this run; required: at most {} ([limits] "
-                    "max_replugs). Replace the cable, the connector or the hub before continuing",
-                    lost.detail(), times_lost_, limits.max_replugs));
+        Message("{detail}; ports have vanished {times} times in this run; required: at most {allowed} "
+                "([limits] max_replugs). Replace the cable, the connector or the hub before continuing",
+                lost.detail(), times_lost_, limits.max_replugs));
   }
   bool stage_lost = instruments_.reconnector->stage_lost();
   const std::string name = lost_name(lost, stage_lost);
@@ -58,24 +58,26 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
   // while the other one moved.
   const HaltOutcome halt = halt_stage(instruments_.stage);
   for (const StageEvent& event : instruments_.stage.take_events()) journal.notify(event.kind, event.text);
-  journal.notify(kPortLostEvent,
-                 fmt::format("the port of {} is gone: {} ({}); {}; waiting up to {} s for it to come back",
-                             name, lost.detail(), journal.activity(), halt.words,
-                             context_.settings.protocol.replug_timeout_s));
+  journal.notify(kPortLostEvent, Message("the port of {name} is gone: {detail} ({activity}); {halt}; waiting "
+                                         "up to {seconds} s for it to come back",
+                                         name, lost.detail(), journal.activity(), halt.words,
+                                         context_.settings.protocol.replug_timeout_s));
   journal.phase(position, RunPhase::kReconnecting);
   reopen(lost, stage_lost);
   if (!halt_stage(instruments_.stage).acknowledged) {
-    throw InstrumentError(context_.stage_name(), Fault::kNoReply,
-                          "it came back but does not acknowledge the halt: stop it by its own switch");
+    throw InstrumentError(
+        context_.stage_name(), Fault::kNoReply,
+        Message("it came back but does not acknowledge the halt: stop it by its own switch"));
   }
   const std::string& serial_number = stage_lost ? context_.stage_info.serial_number : serial_number_of(name);
-  journal.notify(
-      kReconnectedEvent,
-      fmt::format("{} is back{}; the run continues{}", name,
-                  serial_number.empty()
-                      ? " (it reports no serial number: another one of the same model would not be noticed)"
-                      : "",
-                  stage_lost ? " after homing both axes again" : ""));
+  const Message back = serial_number.empty() ? Message(
+                                                   "{name} is back (it reports no serial number: another one "
+                                                   "of the same model would not be noticed)",
+                                                   name)
+                                             : Message("{name} is back", name);
+  journal.notify(kReconnectedEvent,
+                 stage_lost ? Message("{back}; the run continues after homing both axes again", back)
+                            : Message("{back}; the run continues", back));
   return stage_lost;
 }
 
@@ -95,10 +97,10 @@ void Recovery::reopen(const InstrumentError& lost, bool& stage_lost) {
       if (!may_come_back(error.fault()) || context_.clock.stop_requested()) throw;
       if (context_.clock.now() < deadline) continue;
       context_.journal.notify(kPortLostEvent,
-                              fmt::format("the last attempt to open it again: {}", error.what()));
-      throw InstrumentError(
-          name, Fault::kLinkLost,
-          fmt::format("{}; it did not come back within {} s (replug_timeout_s)", lost.detail(), timeout_s));
+                              Message("the last attempt to open it again: {error}", error.message()));
+      throw InstrumentError(name, Fault::kLinkLost,
+                            Message("{detail}; it did not come back within {seconds} s (replug_timeout_s)",
+                                    lost.detail(), timeout_s));
     }
   }
 }

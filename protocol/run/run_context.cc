@@ -1,19 +1,29 @@
 #include "protocol/run/run_context.h"
 
-#include <fmt/format.h>
-
 #include "protocol/plan/faces.h"
 
 namespace abcal {
 
-std::string describe(const PlannedAngle& angle) {
-  if (angle.experiment == 0)
-    return fmt::format("{}X = {:.6g} deg, Z = {:.6g} deg",
-                       angle.check ? fmt::format("check pose {}, ", angle.n) : "", angle.x.deg(),
-                       angle.z.deg());
-  const std::string sweep = angle.sweep > 0 ? fmt::format(", sweep {}", angle.sweep) : "";
-  return fmt::format("{}{}, alpha = {} deg", circle_words(angle.experiment, angle.face), sweep,
-                     angle.alpha.deg());
+Message describe(const PlannedAngle& angle) {
+  if (angle.experiment == 0) {
+    const Message where("X = {x:.6g} deg, Z = {z:.6g} deg", angle.x.deg(), angle.z.deg());
+    return angle.check ? Message("check pose {n}, {where}", angle.n, where) : where;
+  }
+  const Message circle = circle_words(angle.experiment, angle.face);
+  const double alpha_deg = angle.alpha.deg();
+  if (angle.sweep > 0)
+    return {"{circle}, sweep {sweep}, alpha = {alpha} deg", circle, angle.sweep, alpha_deg};
+  return {"{circle}, alpha = {alpha} deg", circle, alpha_deg};
+}
+
+Message RunContext::accelerometer_words() const {
+  if (!beside_others) return {"accelerometer {model}", accelerometer_info.model};
+  return {"item {item}, accelerometer {model}", item, accelerometer_info.model};
+}
+
+void RunContext::notify(std::string_view kind, const Message& text) const {
+  if (!beside_others) return journal.notify(kind, text);
+  journal.notify(kind, Message("item {item}, {what}", item, text), item);
 }
 
 }  // namespace abcal

@@ -39,25 +39,25 @@ class RunJournal {
       : file_(file), observer_(observer), clock_(clock), clock_watch_(clocks()) {}
 
   /// Activity for error messages: "homing axis X", "experiment 1, alpha = 5 deg".
-  void set_activity(std::string activity) { activity_ = std::move(activity); }
-  const std::string& activity() const { return activity_; }
+  void set_activity(Message activity) { activity_ = std::move(activity); }
+  const Message& activity() const { return activity_; }
 
   void phase(std::size_t position, RunPhase phase) { observer_.phase(position, phase); }
   void dwells(std::size_t position, std::span<const ItemDwell> dwells) { observer_.dwells(position, dwells); }
   bool hold_wanted() { return observer_.hold_wanted(); }
 
   /// Writes an event to the run file only.
-  void record(std::string_view kind, std::string_view text) {
+  void record(std::string_view kind, const Message& text) {
     file_.append_event(format_utc(file_.utc(clock_.now())), kind, text);
   }
   /// Writes an event to the run file and reports it to the observer.
   /// @param item  as in RunObserver::notice()
-  void notify(std::string_view kind, std::string_view text, std::optional<int> item = {}) {
+  void notify(std::string_view kind, const Message& text, std::optional<int> item = {}) {
     record(kind, text);
     observer_.notice(kind, text, item);
   }
   /// Writes to the run file and reports to the observer that the run continues without an item.
-  void drop_item(int item, std::size_t position, std::string_view text) {
+  void drop_item(int item, std::size_t position, const Message& text) {
     file_.drop_item(item, position, format_utc(file_.utc(clock_.now())), text);
     observer_.notice(kItemDroppedEvent, text, item);
   }
@@ -73,7 +73,7 @@ class RunJournal {
   RunObserver& observer_;
   const StoppableClock& clock_;
   ClockWatch clock_watch_;
-  std::string activity_ = "starting";
+  Message activity_{"starting"};
 };
 
 /// Time spent on each activity of a run, including the time before an interruption.
@@ -157,17 +157,15 @@ struct RunContext {
 
   /// Names for messages.
   std::string stage_name() const { return "stage " + stage_info.model; }
-  std::string accelerometer_name() const { return of_item() + "accelerometer " + accelerometer_info.model; }
-  /// "item 3, ": the beginning of a message about one of several items; empty where the bench has one only.
-  std::string of_item() const { return beside_others ? "item " + std::to_string(item) + ", " : ""; }
+  std::string accelerometer_name() const { return accelerometer_words(); }
+  /// The same as a message; it begins with the number of the item if the bench has several.
+  Message accelerometer_words() const;
   /// Writes a message about this item to the run file and reports it to the observer. It names the item if
   /// the bench has several.
-  void notify(std::string_view kind, std::string_view text) const {
-    journal.notify(kind, of_item().append(text), beside_others ? std::optional(item) : std::nullopt);
-  }
+  void notify(std::string_view kind, const Message& text) const;
 };
 
 /// "experiment 1, alpha = 5 deg", "check pose 1, X = 54.7356 deg, Z = 45 deg".
-std::string describe(const PlannedAngle& angle);
+Message describe(const PlannedAngle& angle);
 
 }  // namespace abcal

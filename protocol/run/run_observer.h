@@ -30,6 +30,7 @@ std::string_view to_string(RunPhase phase);
 /// "stable", "full scale", "park failed" and so on: text for a person.
 inline constexpr std::string_view kFlagEvent = "flag";      ///< An angle was measured with a flag.
 inline constexpr std::string_view kPortLostEvent = "lost";  ///< A port vanished; the run waits for it.
+inline constexpr std::string_view kFileEvent = "file";      ///< The run file was moved, or is back.
 /// The watchdog halted the stage; the text gives the reason.
 inline constexpr std::string_view kWatchdogEvent = "watchdog";
 
@@ -43,7 +44,7 @@ class RunObserver {
   virtual void dwells(std::size_t position, std::span<const ItemDwell> dwells) = 0;
   /// A message for a person; it is also in the run file, as an event of this kind.
   /// @param item  the number of the item that it is about; absent: the whole bench
-  virtual void notice(std::string_view kind, std::string_view text, std::optional<int> item) = 0;
+  virtual void notice(std::string_view kind, const Message& text, std::optional<int> item) = 0;
   /// Called between two angles, and repeatedly while it returns true: the stage does not move meanwhile.
   virtual bool hold_wanted() { return false; }
 };

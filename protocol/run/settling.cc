@@ -123,7 +123,7 @@ std::size_t Settling::window_size() const {
 void Settling::warm_up() {
   const double warm_up_s = context_.settings.protocol.warm_up_s;
   if (!(warm_up_s > 0.0)) return;
-  context_.journal.set_activity("warming up");
+  context_.journal.set_activity(Message("warming up"));
   context_.journal.phase(0, RunPhase::kWarmingUp);
   const Clock::Instant begin = context_.clock.now();
   context_.clock.wait_until(begin + from_seconds(warm_up_s));
@@ -139,11 +139,11 @@ bool Settling::is_stable_since(Clock::Instant begin) {
   if (elapsed_s() > protocol.stability_s + protocol.stability_timeout_s) {
     throw InstrumentError(
         context_.accelerometer_name(), Fault::kImplausible,
-        fmt::format("not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
-                    "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
-                    "stability_degc). Let the bench warm up, and avoid draughts",
-                    protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
-                    stability_limit_degc(limits, tolerances)));
+        Message("not stable for {stability} s within {timeout} s (stability_s, stability_timeout_s); "
+                "required: outputs within {outputs:.2g} of their norm, temperature within {temperature:.2g} "
+                "degC ([limits] stability, stability_degc). Let the bench warm up, and avoid draughts",
+                protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
+                stability_limit_degc(limits, tolerances)));
   }
   const double wanted = context_.accelerometer_info.rate_hz * protocol.stability_s / kStabilityWindows;
   const auto readings_per_window = static_cast<std::size_t>(std::ceil(std::max(wanted, 10.0)));
@@ -155,7 +155,7 @@ bool Settling::is_stable_since(Clock::Instant begin) {
 
 void Settling::learn_noise() {
   const ProtocolConfig& protocol = context_.settings.protocol;
-  context_.journal.set_activity("waiting for quiet outputs before the first angle");
+  context_.journal.set_activity(Message("waiting for quiet outputs before the first angle"));
   const Clock::Instant begin = context_.clock.now();
   const Clock::Instant last = begin + from_seconds(protocol.settle_s + protocol.quiet_timeout_s);
   std::vector<Eigen::Vector3d> spreads;
@@ -253,18 +253,17 @@ void Settling::learn(const DwellStatistics& statistics) {
   const bool by_outputs = context_.settings.protocol.settle_auto;
   if (!lesson_.add(creep_, statistics.mean, statistics.spread) || told_) return;
   told_ = !by_outputs;
-  const std::string found =
-      "the outputs of many angles together still creep towards their rest in the first quarter of the "
-      "dwell; ";
-  context_.notify(
-      "settling",
-      found + (by_outputs
-                   ? fmt::format("from now on a dwell begins after {:g} times the time from which on "
-                                 "they showed no motion (settle_s = \"auto\")",
-                                 lesson_.patience())
-                   : fmt::format("settle_s = {:g} is too short for this item on this stage. State a longer "
-                                 "one, or \"auto\", and measure again",
-                                 context_.settings.protocol.settle_s)));
+  const auto& protocol = context_.settings.protocol;
+  context_.notify("settling",
+                  by_outputs
+                      ? Message("the outputs of many angles together still creep towards their rest in the "
+                                "first quarter of the dwell; from now on a dwell begins after {times:g} "
+                                "times the time from which on they showed no motion (settle_s = \"auto\")",
+                                lesson_.patience())
+                      : Message("the outputs of many angles together still creep towards their rest in the "
+                                "first quarter of the dwell; settle_s = {seconds:g} is too short for this "
+                                "item on this stage. State a longer one, or \"auto\", and measure again",
+                                protocol.settle_s));
 }
 
 }  // namespace abcal

@@ -24,7 +24,7 @@ class StoppableClock {
 
   /// @throws RunInterrupted if a stop is requested.
   void throw_if_stopped() const {
-    if (stop_.stop_requested()) throw RunInterrupted("stopped by the operator");
+    if (stop_.stop_requested()) throw RunInterrupted(Message("stopped by the operator"));
   }
 
   /// @throws RunInterrupted

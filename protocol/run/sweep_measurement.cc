@@ -25,9 +25,9 @@ constexpr double kMostDrift = 200e-6;
 /// Fewest readings of a step that give a value: some of those that the plan requires may be lost.
 constexpr double kLeastInStep = 0.5 * kLeastReadingsOfStep;
 
-std::string words_of(const PlannedAngle& angle) {
-  return fmt::format("{}, sweep {} at {:g} deg/s", circle_words(angle.experiment, angle.face), angle.sweep,
-                     angle.rate_deg_per_s);
+Message words_of(const PlannedAngle& angle) {
+  return {"{circle}, sweep {sweep} at {rate:g} deg/s", circle_words(angle.experiment, angle.face),
+          angle.sweep, angle.rate_deg_per_s};
 }
 
 StageAxis turning_axis(const PlannedAngle& angle) {
@@ -96,24 +96,23 @@ SweepAngle SweepMeasurement::angle_of(std::span<const PlannedAngle> angles,
   if (!turned)
     throw InstrumentError(
         context_.stage_name(), Fault::kImplausible,
-        fmt::format(
-            "{}: its encoder answered {} times within the turn; required: at least 24. The controller "
-            "answers too slowly for this rate ([protocol] rate_deg_per_s)",
-            where, inside.size()));
+        fmt::format("{}: its encoder answered {} times within the turn; required: at least 24. The "
+                    "controller answers too slowly for this rate ([protocol] rate_deg_per_s)",
+                    where, inside.size()));
   if (!(std::abs(turned->mean_rate_deg_per_s() / rate - 1.0) < kRateTolerance))
-    throw InstrumentError(context_.stage_name(), Fault::kStalled,
-                          fmt::format("{}: its encoder turned at {:.4g} deg/s; required: within {:g} %. The "
-                                      "controller limits its speed, its acceleration is below [protocol] "
-                                      "acceleration_deg_per_s2, or the encoder stands",
-                                      where, turned->mean_rate_deg_per_s(), 100.0 * kRateTolerance));
+    throw InstrumentError(
+        context_.stage_name(), Fault::kStalled,
+        fmt::format(
+            "{}: its encoder turned at {:.4g} deg/s; required: within {:g} %. The controller limits its "
+            "speed, its acceleration is below [protocol] acceleration_deg_per_s2, or the encoder stands",
+            where, turned->mean_rate_deg_per_s(), 100.0 * kRateTolerance));
   if (!(turned->rms_deg() < kMostScatterS * std::abs(rate)))
     throw InstrumentError(
         context_.stage_name(), Fault::kImplausible,
-        fmt::format(
-            "{}: the samples of its encoder scatter by {:.3g} deg about an even turn; required: below "
-            "{:.3g} deg. The axis does not turn evenly, its acceleration is below [protocol] "
-            "acceleration_deg_per_s2, or its answers come late by more than {:g} ms",
-            where, turned->rms_deg(), kMostScatterS * std::abs(rate), 1e3 * kMostScatterS));
+        fmt::format("{}: the samples of its encoder scatter by {:.3g} deg about an even turn; required: "
+                    "below {:.3g} deg. The axis does not turn evenly, its acceleration is below [protocol] "
+                    "acceleration_deg_per_s2, or its answers come late by more than {:g} ms",
+                    where, turned->rms_deg(), kMostScatterS * std::abs(rate), 1e3 * kMostScatterS));
   return *turned;
 }
 
@@ -154,9 +153,8 @@ void SweepMeasurement::require_even_clock(ItemChannel& channel, const std::vecto
   throw InstrumentError(
       channel.context.accelerometer_name(), Fault::kImplausible,
       fmt::format(
-          "its readings come every {:.6f} ms now and came every {:.6f} ms in its first sweep, {:+.0f} "
-          "parts in a million; required: within {:.0f}, or the angles at which they were made are not "
-          "known",
+          "its readings come every {:.6f} ms now and came every {:.6f} ms in its first sweep, {:+.0f} parts "
+          "in a million; required: within {:.0f}, or the angles at which they were made are not known",
           1e3 * period_s, 1e3 * usual_s, 1e6 * drift, 1e6 * kMostDrift));
 }
 
@@ -222,7 +220,7 @@ std::vector<PassedAngle> SweepMeasurement::measure(const std::vector<PlannedAngl
     if (are_readings_missing(angles, streams) && repeats_left-- > 0) {
       journal.notify(
           "repeated",
-          fmt::format("{}: readings of more than a step are missing; it is measured again", words_of(first)));
+          Message("{turn}: readings of more than a step are missing; it is measured again", words_of(first)));
       continue;
     }
     std::vector<PassedAngle> passed(angles.size());

@@ -39,6 +39,13 @@ double student_t_tail(double t, double degrees_of_freedom) {
   return math::cdf(math::complement(math::students_t(degrees_of_freedom), t));
 }
 
+double student_t_between(double a, double b, double degrees_of_freedom) {
+  const auto above = [&](double t) { return student_t_tail(t, degrees_of_freedom); };
+  if (a > 0.0) return above(a) - above(b);
+  if (b < 0.0) return above(-b) - above(-a);
+  return 1.0 - above(-a) - above(b);
+}
+
 double chi2_quantile(double p, double degrees_of_freedom) {
   return math::quantile(math::chi_squared(degrees_of_freedom), p);
 }

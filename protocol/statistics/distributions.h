@@ -23,6 +23,9 @@ double student_t_above(double probability, double degrees_of_freedom);
 /// P(t >= `t`) of Student's t. Infinitely many degrees of freedom: the normal distribution.
 double student_t_tail(double t, double degrees_of_freedom);
 
+/// P(a <= t <= b) of Student's t, without cancellation where both are in one tail.
+double student_t_between(double a, double b, double degrees_of_freedom);
+
 /// The value below which chi2 with these degrees of freedom lies with probability p.
 double chi2_quantile(double p, double degrees_of_freedom);
 

@@ -349,8 +349,7 @@ std::vector<std::string> TemperatureResult::reasons() const {
     if (!trend.constant())
       reasons.push_back(fmt::format(
           "the stage changes with temperature: {} by {:.2g}{} per kelvin (standard uncertainty {:.1g}), "
-          "while "
-          "what all points share is taken as constant",
+          "while what all points share is taken as constant",
           trend.name, trend.slope, trend.unit == "1" ? "" : " " + trend.unit, trend.standard_uncertainty));
   return reasons;
 }

@@ -20,6 +20,7 @@
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 #include "protocol/plan/backlash.h"
+#include "protocol/record/stage_record.h"
 
 namespace abcal {
 
@@ -51,16 +52,25 @@ std::vector<Message> sources_without_a_line(const RunRecord& record, bool resolu
                                                 "self-heating that changes with the orientation",
                                                 "magnetic fields",
                                                 "vibration rectification"};
-  std::vector<Message> out(kOfEvery.begin(), kOfEvery.end());
+  constexpr std::ptrdiff_t kOfTheStage = 2;  // The first of them.
+  std::vector<Message> out(kOfEvery.begin() + (has_angles(record) ? 0 : kOfTheStage), kOfEvery.end());
   if (record.g_loc_known && !(record.g_loc.expanded_uncertainty_mps2 > 0.0))
     out.push_back(Message("local gravity in sensitivities per m/s2 (its uncertainty is not given)"));
   if (record.g_loc_known)
     out.push_back(
         Message("height of the item above the point of g_loc (3.1e-07 of g_loc per metre) and its tide "
                 "(1.5e-07), in sensitivities per m/s2"));
-  for (const EffectSizeKey& size : effect_size_keys())
-    if (!size.uncovered.empty() && !(size.get(record.tolerances) > 0.0))
+  for (const EffectSizeKey& size : effect_size_keys()) {
+    if (size.get(record.tolerances) > 0.0) continue;
+    // A table without angles leaves out the effects of the item that it does not state.
+    const bool is_left_out =
+        !has_angles(record) && std::ranges::any_of(item_effects(), [&](const ItemEffect& effect) {
+          return effect.key == size.key && !effect.in_motion;
+        });
+    if (is_left_out) out.push_back(Message("{effect} ({key} not given)", size.words, size.key));
+    if (!is_left_out && !size.uncovered.empty() && (has_angles(record) || size.section == "item_uncertainty"))
       out.push_back(Message("{effect} ({key} not given)", size.uncovered, size.key));
+  }
   if (!resolution_given) out.push_back(Message("resolution of the accelerometer's output (not given)"));
   if (backlash_is_left(record)) out.push_back(kBacklashNotCovered);
   return out;
@@ -77,16 +87,18 @@ void add_gravity_to(const RunRecord& record, const CalibrationResult& result, Bu
   const double g = record.g_loc.value_mps2;
   BudgetLine line;
   line.input = Message("{symbol}", "g_loc");
+  line.is_local_gravity = true;
   line.value = std::to_string(g);
   line.unit = "m/s2";
   line.distribution = to_string(Shape::kNormal);
   line.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
   line.source = record.g_loc.source;
-  const OutputVector values = to_vector(outputs_of(result.sensitivity_values(), result.offset_values()));
+  const std::vector<Quantity> quantities = quantities_of_outputs(result);
   line.contribution_per_mps2.setZero();
   for (int k = 0; k < kStudyOutputs; ++k) {
     if (is_sensitivity(k))
-      line.contribution_per_mps2(k) = std::abs(values(k)) / g * line.standard_uncertainty / g;
+      line.contribution_per_mps2(k) =
+          std::abs(quantities[static_cast<std::size_t>(k)].value) / g * line.standard_uncertainty / g;
   }
   budget.notes.emplace_back(
       "g_loc contributes nothing to results per g_loc, to angles and to offsets. Sensitivities per m/s2 and "
@@ -99,7 +111,7 @@ void combine(const RunRecord& record, Budget& budget) {
   const bool known = record.g_loc_known && record.g_loc.coverage_factor > 0.0;
   OutputVector per_g_loc = OutputVector::Zero(), per_mps2 = OutputVector::Zero();
   for (BudgetLine& line : budget.lines) {
-    if (known && line.input != "g_loc") {
+    if (known && !line.is_local_gravity) {
       line.contribution_per_mps2 = line.contribution;
       for (int k = 0; k < kStudyOutputs; ++k)
         if (is_sensitivity(k)) line.contribution_per_mps2(k) /= record.g_loc.value_mps2;
@@ -232,6 +244,8 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
       line.source = "measured";
       line.distribution = to_string(Shape::kNormal);
     }
+    // No key of the bench file states what the record does.
+    if (result.stage_record && share.key.empty()) line.source = kStageRecordSource;
     line.standard_uncertainty = share.prior_sd / size;
     line.contribution = contributions(jacobian, share.covariance);
     line.sensitivity = line.contribution / line.standard_uncertainty;
@@ -245,6 +259,50 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   add_gravity_to(record, result, budget);
   combine(record, budget);
   budget.covariance = carried_covariance(jacobian, *result.covariance);
+  budget.not_covered = sources_without_a_line(record, false);
+  return budget;
+}
+
+/// From variances of s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v, O_w.
+OutputVector norm_contributions(const Eigen::Matrix<double, 9, 1>& variance) {
+  OutputVector out = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
+  const Eigen::Matrix<double, 9, 1> u = variance.cwiseMax(0.0).cwiseSqrt();
+  out.segment<3>(kFirstIntrinsicSensitivity) = u.head<3>();
+  out.segment<3>(kFirstIntrinsicAngle) = u.segment<3>(3);
+  out.segment<3>(kFirstOffset) = u.tail<3>();
+  return out;
+}
+
+/// The budget of a norm fit: the stated sizes of each effect, the voltmeter, and the poses.
+Budget norm_budget(const RunRecord& record, const CalibrationResult& result) {
+  Budget budget;
+  Eigen::Matrix<double, 9, 1> voltmeter =
+      (*result.covariance_intrinsic - *result.covariance_intrinsic_type_a).diagonal();
+  const auto add = [&](Message input, std::string_view key, double size,
+                       const Eigen::Matrix<double, 9, 1>& variance) {
+    BudgetLine line;
+    line.input = std::move(input);
+    line.value = "estimated";
+    line.unit = key.ends_with("_deg") ? "degree" : "of S";
+    describe_size(record.tolerances, key, line);
+    line.standard_uncertainty = size;
+    line.contribution = norm_contributions(variance);
+    line.sensitivity = line.contribution / size;
+    budget.lines.push_back(std::move(line));
+  };
+  for (const NormEffectShare& share : result.norm->shares) {
+    voltmeter -= share.variance;
+    for (const EffectSizeKey& size : effect_size_keys())
+      if (size.key == share.key)
+        add(share.key == "orthogonality_deg" ? Message(size.words) : effect_words(share.effect), share.key,
+            size.get(record.tolerances), share.variance);
+  }
+  const double size = std::hypot(record.tolerances.voltmeter_gain, record.tolerances.voltmeter_offset);
+  if (size > 0.0) add(Message("gain and offset of the voltmeter"), "voltmeter_gain", size, voltmeter);
+  budget.lines.push_back(readings_line(Message("readings of the poses"), record, result,
+                                       norm_contributions(result.covariance_intrinsic_type_a->diagonal())));
+  add_gravity_to(record, result, budget);
+  combine(record, budget);
   budget.not_covered = sources_without_a_line(record, false);
   return budget;
 }
@@ -418,10 +476,11 @@ double Budget::share_per_mps2(const BudgetLine& line, int output) const {
 
 Budget make_budget(const RunRecord& record, const CalibrationResult& result,
                    std::optional<double> resolution) {
-  if (!result.sensitivity_matrix || !result.sensitivity_values().allFinite() ||
-      !result.offset_values().allFinite()) {
+  const bool has_numbers = result.sensitivity_matrix ? result.sensitivity_values().allFinite()
+                                                     : result.norm && result.covariance_intrinsic_type_a;
+  if (!has_numbers || !result.offset_values().allFinite())
     throw std::invalid_argument(record.source + ": no result, so no budget: " + result.why.english());
-  }
+  if (result.norm) return norm_budget(record, result);
   if (result.joint) return joint_budget(record, result);
   return BudgetMaker(record, result).make(resolution);
 }

@@ -32,9 +32,11 @@ struct BudgetLine {
   /// Degrees of freedom of each contribution; infinite for a stated value. Together they give those of the
   /// result (Welch-Satterthwaite).
   OutputVector degrees_of_freedom = OutputVector::Constant(std::numeric_limits<double>::infinity());
-  std::string key;      ///< Key of its size in the bench file; empty: it has none.
-  std::string source;   ///< Source of the standard uncertainty: as stated, "default" or "this run".
-  bool type_a = false;  ///< From the scatter of readings.
+  std::string key;  ///< Key of its size in the bench file; empty: it has none.
+  /// Source of the standard uncertainty: as stated, "default", kThisRun or kStageRecordSource.
+  std::string source;
+  bool type_a = false;            ///< From the scatter of readings.
+  bool is_local_gravity = false;  ///< The line of g_loc.
 };
 
 struct Budget {
@@ -62,10 +64,10 @@ struct Budget {
   double share_per_mps2(const BudgetLine& line, int output) const;
 };
 
-/// The budget of an ABC or a joint result. Its combined uncertainty is that of the result. The covariances
-/// for Monte Carlo are filled for ABC alone.
+/// The budget of an ABC, joint or norm result (NaN: elements of a matrix that it does not have). Its combined
+/// uncertainty is that of the result. The covariances for Monte Carlo are filled for ABC alone.
 /// @param record      with the tolerances to be used
-/// @param result      analyse_abc or analyse_joint of this record
+/// @param result      analyse_abc, analyse_joint or analyse_norm of this record
 /// @param resolution  smallest step of the output (R), if known; of an ABC result
 /// @throws std::invalid_argument for a result without numbers, a record without enough angles
 Budget make_budget(const RunRecord& record, const CalibrationResult& result,

@@ -58,8 +58,7 @@ double limit_for(double wanted, const std::function<double(double)>& reached) {
     if (high > kWidestLimit)
       throw std::invalid_argument(
           fmt::format("control chart: no limit gives {} points between false alarms; required: more runs in "
-                      "the baseline, "
-                      "or a shorter run length",
+                      "the baseline, or a shorter run length",
                       wanted));
   }
   for (int i = 0; i < kHalvings && high - low > 1e-5; ++i) {
@@ -89,8 +88,7 @@ ChartRules design_rules(const ChartDemand& demand) {
       !(demand.certainty > 0.0 && demand.certainty < 1.0))
     throw std::invalid_argument(
         fmt::format("control chart: {} runs, {} rules, {} points between false alarms, certainty {}; "
-                    "required: at least 3 "
-                    "runs, 1 rule, more than 1 point, a certainty between 0 and 1",
+                    "required: at least 3 runs, 1 rule, more than 1 point, a certainty between 0 and 1",
                     demand.baseline_runs, demand.rules, demand.run_length, demand.certainty));
   const std::vector<ChartedProcess> seen = processes_seen(demand.baseline_runs);
   const double each = demand.run_length * demand.rules;

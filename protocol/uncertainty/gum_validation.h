@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/uncertainty/coverage.h"
 
 namespace abcal {
@@ -27,7 +28,7 @@ struct GumEstimate {
 struct MonteCarloInterval {
   CoverageInterval interval;  ///< Probabilistically symmetric.
   double trials = 0.0;
-  double p = 0.95;  ///< Coverage probability.
+  double p = kCoverageProbability;  ///< Coverage probability.
 };
 
 /// @param digits  significant digits of u that are meaningful, 1 or 2

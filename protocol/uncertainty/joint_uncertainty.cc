@@ -2,14 +2,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <numbers>
+#include <optional>
 #include <stdexcept>
 
 #include "protocol/estimators/joint/joint_result.h"
+#include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/estimators/shared/side_by_side.h"
 #include "protocol/uncertainty/certified_uncertainty.h"
 #include "protocol/uncertainty/joint_trials.h"
+#include "protocol/uncertainty/norm_trials.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
 namespace abcal {
@@ -20,6 +24,8 @@ constexpr std::size_t kSolvedInFull = 16;
 /// Solutions in full may differ from the linear ones by this many standard uncertainties (rms): a difference
 /// that is independent of the error adds 2 % to u.
 constexpr double kMostDeviation = 0.2;
+/// Student's distribution has a standard deviation above two degrees of freedom.
+constexpr double kFewestScatterDegrees = 3.0;
 /// A difference below this number of its own standard errors is chance.
 constexpr double kStandardErrors = 3.0;
 
@@ -31,15 +37,17 @@ void describe(const RunRecord& record, const CalibrationResult& result, RunUncer
   study.result = result;
   if (result.verdict == Verdict::kNotUsable)
     throw std::runtime_error(record.source + ": no uncertainty without a result: " + result.why.english());
-  study.value = outputs_of(result.sensitivity_values(), result.offset_values());
   study.budget = make_budget(record, result);
   JointComparison& joint = study.joint.emplace();
   const std::vector<Quantity> quantities = quantities_of_outputs(result);
+  OutputVector value;
   for (int k = 0; k < kStudyOutputs; ++k) {
     const Quantity& quantity = quantities[static_cast<std::size_t>(k)];
+    value(k) = quantity.value;
     joint.standard_uncertainty(k) = quantity.standard_uncertainty;
-    joint.expanded_95(k) = coverage_factor(quantity, 0.95) * quantity.standard_uncertainty;
+    joint.expanded(k) = coverage_factor(quantity) * quantity.standard_uncertainty;
   }
+  study.value = to_output(value);
   study.standard_uncertainty = joint.standard_uncertainty;
 }
 
@@ -69,7 +77,9 @@ void check_in_full(const JointTrials& trials, const MonteCarloResult& made, Join
 }
 
 /// Names the outputs whose Monte Carlo differs from what the result states.
-void compare_with_stated(const MonteCarloResult& made, JointComparison& joint) {
+/// @param by_u  false: only the intervals, as Student's distribution has a larger standard deviation than its
+/// scale
+void compare_with_stated(const MonteCarloResult& made, JointComparison& joint, bool by_u = true) {
   if (made.trials < 2) return;
   const auto trials = static_cast<double>(made.trials);
   for (int k = 0; k < kStudyOutputs; ++k) {
@@ -78,13 +88,14 @@ void compare_with_stated(const MonteCarloResult& made, JointComparison& joint) {
       if (difference > kNamedDifference && difference > kStandardErrors * relative_error)
         joint.differences.push_back({k, of, found, stated});
     };
-    compare("standard uncertainty", made.standard_deviation(k), joint.standard_uncertainty(k),
-            1.0 / std::sqrt(2.0 * trials));
+    if (by_u)
+      compare("standard uncertainty", made.standard_deviation(k), joint.standard_uncertainty(k),
+              1.0 / std::sqrt(2.0 * trials));
     if (made.coverage.empty()) continue;
     const CoverageInterval& interval = made.coverage[static_cast<std::size_t>(k)].symmetric;
     // The standard error of an end point is sqrt(p (1 - p) / trials) over the density there; both ends of a
     // normal distribution at 97.5 %: 2.67 u / sqrt(trials) each.
-    compare("half 95 % interval", 0.5 * (interval.high - interval.low), joint.expanded_95(k),
+    compare("half 95.45 % interval", 0.5 * (interval.high - interval.low), joint.expanded(k),
             2.67 / std::numbers::sqrt2 / 1.96 / std::sqrt(trials));
   }
 }
@@ -105,26 +116,64 @@ void warn(JointComparison& joint, const std::string& unit, std::vector<std::stri
     warnings.push_back(fmt::format("{} of {} trials that were solved in full have no solution",
                                    joint.not_converged, joint.solved_in_full));
   if (joint.largest_deviation > kMostDeviation)
-    warnings.push_back(
-        fmt::format("the trials are solved by the derivatives at the run's own solution; solved in full, {} "
-                    "of them differ "
-                    "by {:.2g} standard uncertainties (rms): the intervals are known no better than that",
-                    joint.solved_in_full, joint.largest_deviation));
+    warnings.push_back(fmt::format(
+        "the trials are solved by the derivatives at the run's own solution; solved in full, {} of them "
+        "differ by {:.2g} standard uncertainties (rms): the intervals are known no better than that",
+        joint.solved_in_full, joint.largest_deviation));
 }
 
 void warn_of_larger(const CertifiedUncertainty& made, RunUncertainty& study) {
   if (!made.any_larger()) return;
-  study.warnings.push_back(fmt::format(
-      "{}: with the truth drawn from this result, U by Monte Carlo ({} trials) is larger than the "
-      "stated one; a certificate states the larger (docs/certificate.md)",
-      made.larger(), made.trials));
+  study.warnings.push_back(
+      fmt::format("{}: with the truth drawn from this result, U by Monte Carlo ({} trials) is larger than "
+                  "the stated one; a certificate states the larger (docs/certificate.md)",
+                  made.larger(), made.trials));
+}
+
+/// The norm fit has no matrix: nothing was drawn of its elements.
+void leave_out_matrix(MonteCarloResult& made) {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  made.mean.head<kFirstOffset>().setConstant(kNone);
+  made.standard_deviation.head<kFirstOffset>().setConstant(kNone);
+  made.covariance.topRows<kFirstOffset>().setConstant(kNone);
+  made.covariance.leftCols<kFirstOffset>().setConstant(kNone);
+  for (std::size_t k = 0; k < std::min<std::size_t>(kFirstOffset, made.coverage.size()); ++k)
+    made.coverage[k].symmetric = made.coverage[k].shortest = {kNone, kNone};
 }
 
 }  // namespace
 
+RunUncertainty norm_uncertainty(const RunRecord& record, const UncertaintyOptions& options) {
+  require_trials(options);
+  RunUncertainty study;
+  study.seed = options.seed;
+  std::optional<NormFit> fit;
+  describe(record, analyse_norm(record, &fit), study);
+  if (fit->scatter_degrees < kFewestScatterDegrees ||
+      !study.standard_uncertainty.tail<kStudyOutputs - kFirstOffset>().allFinite()) {
+    study.no_trials = fmt::format(
+        "Monte Carlo is not made: the scatter of the poses has {:.2g} degrees of freedom, and its "
+        "distribution has a "
+        "standard deviation from {:g} on. More poses, or poses with stated uncertainties, give them.",
+        fit->scatter_degrees, kFewestScatterDegrees);
+    return study;
+  }
+  const NormTrials trials(*fit, record.tolerances, options.seed);
+  study.combined = run_monte_carlo(
+      kStudyOutputs, [&](std::uint64_t first, std::size_t count, double* out) { trials(first, count, out); },
+      monte_carlo_options(options));
+  study.interrupted = study.combined.interrupted;
+  leave_out_matrix(study.combined);
+  compare_with_stated(study.combined, *study.joint, !std::isfinite(fit->scatter_degrees));
+  warn(*study.joint, study.response_unit, study.warnings);
+  if (const std::uint64_t count = trials.not_converged(); count > 0)
+    study.warnings.push_back(
+        fmt::format("{} trials have no solution and count as their linear approximation", count));
+  return study;
+}
+
 RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptions& options) {
-  if (options.trials && *options.trials < 2)
-    throw std::invalid_argument(fmt::format("number of trials = {}, at least 2 are needed", *options.trials));
+  require_trials(options);
   RunUncertainty study;
   study.seed = options.seed;
   JointOptions joint_options;
@@ -133,16 +182,9 @@ RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptio
   describe(record, joint_result(record, own), study);
 
   const JointTrials trials(own, record, options.seed);
-  MonteCarloOptions monte_carlo;
-  monte_carlo.trials = options.trials;
-  monte_carlo.digits = options.digits;
-  monte_carlo.threads = options.threads;
-  monte_carlo.team = options.team;
-  monte_carlo.stop = options.stop;
-  monte_carlo.progress = options.progress;
   study.combined = run_monte_carlo(
       kStudyOutputs, [&](std::uint64_t first, std::size_t count, double* out) { trials(first, count, out); },
-      monte_carlo);
+      monte_carlo_options(options));
   study.interrupted = study.combined.interrupted;
   check_in_full(trials, study.combined, *study.joint);
   compare_with_stated(study.combined, *study.joint);
@@ -160,13 +202,15 @@ RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptio
   return study;
 }
 
-RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result) {
+RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result,
+                                      std::string_view of) {
   RunUncertainty study;
   describe(record, result, study);
-  study.no_trials =
-      "This joint result comes from a common fit of several items, and Monte Carlo of a common fit is not "
-      "made. The budget and the standard uncertainties are those of the common fit; --estimator abc makes a "
-      "Monte Carlo of the ABC result of this item alone.";
+  study.no_trials = fmt::format(
+      "This joint result comes from a common fit of {}, and Monte Carlo of a common fit is not "
+      "made. The budget and the standard uncertainties are those of the common fit; --estimator "
+      "abc makes a Monte Carlo of the ABC result of one item of one run alone.",
+      of);
   return study;
 }
 

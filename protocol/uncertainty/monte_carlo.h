@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/uncertainty/coverage.h"
 
 namespace abcal {
@@ -29,7 +30,7 @@ struct MonteCarloOptions {
   std::uint64_t most_trials = 100'000'000;  ///< Limit at which an adaptive run ends without having converged,
                                             ///< and reports it.
   unsigned threads = 0;                     ///< 0: as many as the machine has.
-  double coverage_probability = 0.95;
+  double coverage_probability = kCoverageProbability;
   MonteCarloTeam* team = nullptr;  ///< Other processes that share the work; null: this one alone.
   std::stop_token stop;            ///< On a request to stop, the engine reports its results so far.
   /// Called from time to time with the number of trials done and planned (0: not known), by any worker, one
@@ -49,7 +50,7 @@ struct MonteCarloResult {
   Eigen::VectorXd standard_deviation;
   Eigen::MatrixXd covariance;
   std::vector<Coverage> coverage;  ///< Empty with kNone (too few trials for an interval).
-  double coverage_probability = 0.95;
+  double coverage_probability = kCoverageProbability;
   IntervalMethod interval_method = IntervalMethod::kNone;
   /// Adaptive: twice the standard deviation of the averages over the blocks (y, u, y_low, y_high) over the
   /// tolerance, the largest of each output. At most 1 where converged.

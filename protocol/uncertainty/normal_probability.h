@@ -11,10 +11,4 @@ inline double normal_below(double z) {
   return 0.5 * std::erfc(-z / std::numbers::sqrt2);
 }
 
-/// Probability that a standard normal value lies between a and b, without cancellation where both are in one
-/// tail.
-inline double normal_between(double a, double b) {
-  return a > 0.0 ? normal_below(-a) - normal_below(-b) : normal_below(b) - normal_below(a);
-}
-
 }  // namespace abcal

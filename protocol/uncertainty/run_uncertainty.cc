@@ -54,12 +54,25 @@ TrialBlock whole_budget(const TypeBSampler& sampler, const Budget& budget, std::
 
 }  // namespace
 
+void require_trials(const UncertaintyOptions& options) {
+  if (options.trials && *options.trials < 2)
+    throw std::invalid_argument(fmt::format("number of trials = {}, at least 2 are needed", *options.trials));
+}
+
+MonteCarloOptions monte_carlo_options(const UncertaintyOptions& options) {
+  MonteCarloOptions monte_carlo;
+  monte_carlo.trials = options.trials;
+  monte_carlo.digits = options.digits;
+  monte_carlo.threads = options.threads;
+  monte_carlo.team = options.team;
+  monte_carlo.stop = options.stop;
+  monte_carlo.progress = options.progress;
+  return monte_carlo;
+}
+
 RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions& options) {
   check_tolerances(record.tolerances);
-  if (options.trials && *options.trials < 2) {
-    throw std::invalid_argument("number of trials = " + std::to_string(*options.trials) +
-                                ", at least 2 are needed");
-  }
+  require_trials(options);
   if (has_two_faces(record)) {
     throw std::invalid_argument(
         record.source +
@@ -88,12 +101,7 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
 
   int stage = 0;
   const auto engine = [&] {
-    MonteCarloOptions monte_carlo;
-    monte_carlo.trials = options.trials;
-    monte_carlo.digits = options.digits;
-    monte_carlo.threads = options.threads;
-    monte_carlo.team = options.team;
-    monte_carlo.stop = options.stop;
+    MonteCarloOptions monte_carlo = monte_carlo_options(options);
     if (options.progress) {
       const auto before = static_cast<std::uint64_t>(stage) * options.trials.value_or(0);
       monte_carlo.progress = [&options, before](std::uint64_t done, std::uint64_t planned) {

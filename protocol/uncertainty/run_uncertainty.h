@@ -29,18 +29,22 @@ struct UncertaintyOptions {
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };
 
+/// @throws std::invalid_argument  fewer than two trials
+void require_trials(const UncertaintyOptions& options);
+MonteCarloOptions monte_carlo_options(const UncertaintyOptions& options);
+
 /// An output whose Monte Carlo contradicts the uncertainty that the result states.
 struct StudyDifference {
   int output = 0;            ///< As in study_output.h.
-  std::string of;            ///< "standard uncertainty", "half 95 % interval"
+  std::string of;            ///< "standard uncertainty", "half 95.45 % interval"
   double monte_carlo = 0.0;  ///< u, or half the length of the interval.
-  double stated = 0.0;       ///< u of the result, or its U for 95 %.
+  double stated = 0.0;       ///< u of the result, or its U.
 };
 
-/// Monte Carlo of the joint result, compared with the result's statements.
+/// Monte Carlo of the joint or norm result, compared with the result's statements.
 struct JointComparison {
   OutputVector standard_uncertainty = OutputVector::Zero();  ///< As the result states it.
-  OutputVector expanded_95 = OutputVector::Zero();           ///< With k for its degrees of freedom.
+  OutputVector expanded = OutputVector::Zero();              ///< With k for its degrees of freedom.
   std::vector<StudyDifference> differences;                  ///< Above kNamedDifference.
   int solved_in_full = 0;  ///< Trials that were solved again by the estimator itself.
   int not_converged = 0;   ///< Those of them without a solution.
@@ -54,22 +58,21 @@ inline constexpr double kNamedDifference = 0.1;
 /// Text for readers: what the Monte Carlo of the joint result can show.
 inline constexpr const char* kWhatIsChecked =
     "Each trial draws every effect from its stated distribution and the noise from its fitted model, makes "
-    "the "
-    "readings of the fitted item and applies the whole estimator to them. It checks linearity and the shapes "
-    "of the distributions. It does not check the model.";
+    "the readings of the fitted item and applies the whole estimator to them. It checks linearity and the "
+    "shapes of the distributions. It does not check the model.";
 
 /// Trials of the joint estimator unless others are asked for: 95 % intervals to some 2 % of their length.
 inline constexpr std::uint64_t kJointTrials = 10'000;
 
 /// The uncertainty of one run's result.
 struct RunUncertainty {
-  std::string estimator = "abc";  ///< "abc", "joint"
+  std::string estimator = "abc";  ///< "abc", "joint", "norm"
   std::string source;
   std::string response_unit;
   Tolerances tolerances;
   std::uint64_t seed = 1;
   CalibrationResult result;   ///< That of the estimator.
-  StudyOutput value;          ///< Its 18 outputs.
+  StudyOutput value;          ///< Its 18 outputs; NaN: those of the matrix that norm does not have.
   MonteCarloResult type_b;    ///< ABC: errors due to the calibration system.
   MonteCarloResult type_a;    ///< ABC: values, by the paper's section 6. Zero trials: interrupted before.
   std::string acs_measured;   ///< The record of the stage in the type A evaluation, by SHA-256; empty: none.
@@ -81,7 +84,7 @@ struct RunUncertainty {
       OutputVector::Zero();  ///< Combined: Monte Carlo, or the preset with type A.
   StudyOutput bounds;        ///< Section 5's bounds for this accelerometer.
   bool paper_preset = false;
-  std::optional<JointComparison> joint;  ///< For a joint result.
+  std::optional<JointComparison> joint;  ///< For a joint or norm result.
   std::string no_trials;                 ///< Why no Monte Carlo was made; empty: it was.
   std::vector<std::string> warnings;
   bool interrupted = false;
@@ -100,8 +103,15 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
 /// @throws as run_uncertainty()
 RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
 
-/// For a joint result that comes from a common fit of several items: its budget and what it states. Monte
-/// Carlo of a common fit is not made, which `no_trials` reports.
-RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result);
+/// For the result of the norm estimator: its budget, and Monte Carlo of the whole fit, every trial solved in
+/// full. The options measured, resolution and paper_preset are not used.
+/// @throws as run_uncertainty()
+RunUncertainty norm_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
+
+/// For a joint result that comes from a common fit of several items or runs: its budget and what it states.
+/// Monte Carlo of a common fit is not made, which `no_trials` reports.
+/// @param of  "several items", "several runs"
+RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result,
+                                      std::string_view of);
 
 }  // namespace abcal

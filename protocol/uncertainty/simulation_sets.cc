@@ -17,7 +17,7 @@ constexpr Angle kAccuracy = Angle::degrees(0.008);    // the paper's stage, sect
 constexpr Angle kResolution = Angle::degrees(0.001);  // the same
 constexpr double kSpread = 0.1;                       // of the random accelerometers, section 3
 // Table 8 is met in every printed digit with this share of the misalignment in Xz
-// (docs/theory/abc_protocol.md, slip 1).
+// (docs/reproduction.md, error 1).
 constexpr double kTable8Xz = 0.91434;
 
 std::string degrees_text(Angle angle) {
@@ -221,8 +221,7 @@ StudyResult set_6(const SimulationOptions& options) {
        {"Zx = Zy = q, Xz = 0.91434 q (as Table 8 is printed)", accelerometer, 1.0, kTable8Xz, "Table 8",
         published_table_8(),
         "Slip of the print: every digit of Table 8 is met with Xz = 0.91434 q besides; its rows s and O, "
-        "interchanged in "
-        "print, are put right here."}},
+        "interchanged in print, are put right here."}},
       options);
 }
 
@@ -251,10 +250,9 @@ StudyResult abc1(const SimulationOptions& options, bool harmonic) {
   if (options.accelerometer) {
     variants.push_back({"given accelerometer", *options.accelerometer, 0.0, ""});
   } else {
-    variants.push_back(
-        {"accelerometer of Table 2", table_2_accelerometer(), 0.0,
-         "The captions of Tables 3 and 4 name Table 2's accelerometer, the text a new random one every "
-         "trial. With Table 2's, s_vy, O and phi do not match the print."});
+    variants.push_back({"accelerometer of Table 2", table_2_accelerometer(), 0.0,
+                        "The captions of Tables 3 and 4 name Table 2's accelerometer, the text a new random "
+                        "one every trial. With Table 2's, s_vy, O and phi do not match the print."});
     variants.push_back(
         {"random accelerometer every trial",
          {},
@@ -308,7 +306,7 @@ StudyResult abc2(const SimulationOptions& options) {
   const AccelerometerUnderTest accelerometer = options.accelerometer.value_or(AccelerometerUnderTest{});
   const double q = sincos(misalignment(options)).sin;
   const Angle step = options.step.value_or(options.resolution ? kResolution : kAccuracy);
-  // "6 * sin(0.008 degrees)" is a number of degrees (docs/theory/abc_protocol.md, slip 2).
+  // "6 * sin(0.008 degrees)" is a number of degrees (docs/reproduction.md, error 2).
   const Angle amplitude = Angle::degrees(6.0 * sincos(step).sin);
   AcsErrors synchronous;
   for (std::size_t i = 0; i < 3; ++i) {
@@ -320,15 +318,13 @@ StudyResult abc2(const SimulationOptions& options) {
   StudyCase first = single("D1 = E1 = 6 sin(0.008 deg), Zx = Zy = Xz = 0", accelerometer, synchronous);
   first.note =
       "Slip of the print: the amplitude is a number of degrees; as radians, offset errors of 3e-4 contradict "
-      "the text. "
-      "The paper: every error smaller than its standard deviation in Tables 3 and 4.";
+      "the text. The paper: every error smaller than its standard deviation in Tables 3 and 4.";
   AcsErrors misaligned = synchronous;
   misaligned.alignment = {q, q, -q};
   StudyCase second = single("and -Xz = Zx = Zy = sin(0.008 deg)", accelerometer, misaligned);
   second.note =
       "Slip of the print: the text says -Xz = Zx = Zy = 6 sin(0.008 deg), but its 2.1e-4 in s_uz and s_wx "
-      "belongs to "
-      "1 sin(0.008 deg) with an ideal accelerometer.";
+      "belongs to 1 sin(0.008 deg) with an ideal accelerometer.";
   if (as_published(options)) {
     second.table = "section 4 (magnitudes)";
     StudyOutput published = to_output(OutputVector::Constant(std::numeric_limits<double>::quiet_NaN()));

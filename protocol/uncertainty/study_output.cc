@@ -58,7 +58,11 @@ std::string output_unit(int k, std::string_view response_unit) {
 
 std::vector<Quantity> quantities_of_outputs(const CalibrationResult& result) {
   std::vector<Quantity> out;
-  for (const auto& row : *result.sensitivity_matrix) out.insert(out.end(), row.begin(), row.end());
+  if (result.sensitivity_matrix) {
+    for (const auto& row : *result.sensitivity_matrix) out.insert(out.end(), row.begin(), row.end());
+  } else {
+    out.resize(kFirstOffset);
+  }
   for (const auto* three : {&result.offset, &result.intrinsic_sensitivity, &result.intrinsic_angle})
     out.insert(out.end(), three->begin(), three->end());
   return out;
@@ -71,7 +75,7 @@ std::vector<int> worst_of_each_kind(const OutputVector& u) {
     for (const int k : members) {
       if (u(k) > u(best)) best = k;
     }
-    worst.push_back(best);
+    if (!std::isnan(u(best))) worst.push_back(best);
   };
   largest({0, 4, 8});
   largest({1, 2, 3, 5, 6, 7});

@@ -37,7 +37,8 @@ StudyOutput to_output(const OutputVector& vector);
 /// them (by atan2; docs/theory/model.md).
 StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset);
 
-/// The outputs of a result as quantities, in the order of kStudyOutputs. It has a sensitivity matrix.
+/// The outputs of a result as quantities, in the order of kStudyOutputs; NaN: those of a matrix that it does
+/// not have.
 std::vector<Quantity> quantities_of_outputs(const CalibrationResult& result);
 
 /// Whether output k is a sensitivity, so that it is per g_loc.
@@ -45,8 +46,8 @@ constexpr bool is_sensitivity(int k) {
   return k < kFirstOffset || (k >= kFirstIntrinsicSensitivity && k < kFirstIntrinsicAngle);
 }
 
-/// One output for each kind (diagonal and other elements of s, O, s_j, phi): that with the largest
-/// uncertainty. Positions as in study_output.h.
+/// One output for each kind (diagonal and other elements of s, O, s_j, phi) that has uncertainties: that with
+/// the largest. Positions as in study_output.h.
 std::vector<int> worst_of_each_kind(const OutputVector& u);
 
 /// Symbol of output k: "s_ux" ... "s_wz", "O_u", "s_u" (intrinsic), "phi_uv" ...

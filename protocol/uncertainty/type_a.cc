@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "protocol/estimators/series/stage_curves.h"
+#include "protocol/estimators/measurement/stage_curves.h"
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
@@ -19,15 +19,16 @@ namespace abcal {
 namespace {
 
 /// One reading as the trials need it.
-struct Pose {
+struct MeasuredPose {
   StagePose stage;
   std::vector<StageTerm> terms;
   double step_sd = 0.0;  ///< radian
 };
 
-Pose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
+MeasuredPose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
   const SinCos alpha = sincos(dwell.alpha);
-  Pose pose{StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), {}, measured.step.rad()};
+  MeasuredPose pose{
+      StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), {}, measured.step.rad()};
   pose.terms = terms_at(measured.state, pose.stage);
   const Eigen::Index place = measured.state.place_of(visited_angle(dwell.experiment, dwell.alpha));
   if (place < 0) return pose;
@@ -87,7 +88,7 @@ MeasuredAcs MeasuredAcs::of(const StageRecord& record, double months) {
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
                             const MonteCarloOptions& options) {
   const Eigen::MatrixXd root = root_of(measured.state.covariance);
-  std::vector<Pose> poses;
+  std::vector<MeasuredPose> poses;
   std::vector<Eigen::Vector3d> readings;
   std::vector<double> weights;
   bool weighted = true;
@@ -99,8 +100,7 @@ MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured
     poses.push_back(pose_of(dwell, measured));
     if (!(poses.back().step_sd >= 0.0 && std::isfinite(poses.back().step_sd)))
       throw std::invalid_argument(
-          fmt::format("standard deviation of a step error = {:g} rad; required: finite, "
-                      "not negative",
+          fmt::format("standard deviation of a step error = {:g} rad; required: finite, not negative",
                       poses.back().step_sd));
     readings.push_back(dwell.mean);
     weighted = weighted && dwell.u_mean && (dwell.u_mean->array() > 0.0).all();
@@ -117,7 +117,7 @@ MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured
       for (double& z : normal) z = stream.normal();
       const Eigen::VectorXd state = measured.state.mean + product_with_vector(root, normal);
       for (std::size_t i = 0; i < poses.size(); ++i) {
-        const Pose& pose = poses[i];
+        const MeasuredPose& pose = poses[i];
         StageInputs inputs = StageInputs::Zero();
         for (const StageTerm& term : pose.terms) inputs(term.input) += term.coefficient * state(term.place);
         inputs(moving_angle_input(pose.stage.experiment)) += pose.step_sd * stream.normal();

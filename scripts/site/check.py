@@ -19,16 +19,17 @@ import subprocess
 import sys
 import tempfile
 
+import certificate
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 EXEMPT = re.compile(r"<!-- sample not made again: (.+) -->")
 # First words of lines that are commands. An indented line continues the one above.
-COMMANDS = re.compile(r"( +\S|#|abcal |sudo |cmake |ninja |ctest |scripts/|build/|cp |cd |mkdir |echo |export |unset |openssl |xmlsec1 |xmllint |java "
+COMMANDS = re.compile(r"( +\S|#|abcal |sudo |cmake |ninja |ctest |scripts/|build/|cp |cd |mkdir |echo |sed |export |unset |openssl |xmlsec1 |xmllint |java "
                       r"|sqlite3 |journalctl |systemctl |GTEST_OUTPUT=|\S*abcal-witness )")
 # Pictures are made by scripts, and two browsers or fonts never draw one alike to the bit: no comparison says that one is stale.
 PICTURES = {
     "console-*.png": "cmake --build build/release --target console_screenshots",
-    "certificate.png": "`abcal issue --pdf` of the run of docs/examples/simulated.toml with a training register, then pdftoppm -r 80 -png -l 1",
     "temperature.png": "a page of the PDF of `abcal temperature`",
     "demo.svg": "scripts/docs --recordings",
     "init.svg": "scripts/docs --recordings",
@@ -182,14 +183,18 @@ def check_generated(abcal):
     return problems
 
 
-def check_pictures():
+def check_pictures(abcal):
     problems = []
+    if certificate.missing():
+        print(f"not compared: docs/images/certificate.png: {', '.join(certificate.missing())} not installed")
+    else:
+        problems += certificate.problems(abcal)
     shown = "".join(path.read_text() for path in [ROOT / "README.md", *DOCS.rglob("*.md")])
     for picture in sorted((DOCS / "images").iterdir()):
         if f"images/{picture.name})" not in shown:
             problems.append(f"docs/images/{picture.name}: no page shows it")
         made_by = [command for pattern, command in PICTURES.items() if picture.match(pattern)]
-        if not made_by:
+        if not made_by and picture != certificate.PICTURE:
             problems.append(f"docs/images/{picture.name}: nothing is known to make it; required: a line of PICTURES in scripts/site/check.py")
         for command in made_by:
             print(f"not compared: docs/images/{picture.name}: made by {command}")
@@ -202,7 +207,7 @@ def main():
     abcal = pathlib.Path(sys.argv[1]).resolve()
     if not abcal.exists():
         sys.exit(f"check.py: {abcal} does not exist; required: a built abcal (scripts/build)")
-    problems = check_samples(abcal) + check_generated(abcal) + check_pictures()
+    problems = check_samples(abcal) + check_generated(abcal) + check_pictures(abcal)
     for problem in problems:
         print(problem, file=sys.stderr)
     sys.exit(1 if problems else 0)

@@ -1,4 +1,5 @@
-// The sections of the pages, as the search of the site knows them: one document for each heading of each page below docs/.
+// The sections of the pages, as the search of the site knows them: one document for each heading of each page below docs/, but for
+// changelog and decisions.
 //   node scripts/site/documents.mjs MINISEARCH OUTPUT     writes the index as a script: a page opened from a disk may not fetch
 import {readdirSync, readFileSync, writeFileSync} from 'node:fs';
 import path from 'node:path';
@@ -60,8 +61,11 @@ export function pages(folder = docs) {
   return readdirSync(folder, {recursive: true}).filter((name) => name.endsWith('.md')).sort();
 }
 
+// Changes, and reasons of decisions, answer no question of a user.
+const isSearched = (page) => page !== 'changelog.md' && !page.startsWith('decisions/');
+
 export function allSections(folder = docs) {
-  return pages(folder).flatMap((page) => sectionsOf(page, readFileSync(path.join(folder, page), 'utf8')));
+  return pages(folder).filter(isSearched).flatMap((page) => sectionsOf(page, readFileSync(path.join(folder, page), 'utf8')));
 }
 
 // MiniSearch and search.js are scripts of a page and run here as there.

@@ -4,15 +4,20 @@
 
   // Words that say nothing about what is asked.
   const emptyWords = new Set(('a about am an and any are as at be been but by can cannot could did do does for from get got had has have he how i if in ' +
-    'into is it its me my no of on or our out over own she should so some that the their them then there these they this to ' +
-    'up us was we were what when where which who why will with without would you your mean means').split(' '));
+    'into is it its me my of on or our out over own she should so some that the their them then there these they this to ' +
+    'up us was we were what when where which who why will with would you your mean means').split(' '));
 
-  // Other words for the same, as people ask: each pair is "asked: written".
+  // Other words for the same, as people ask: "asked: written", one table for all pages.
   const sameWords = {
     sensor: 'accelerometer', sensors: 'accelerometers', simulate: 'simulated', simulation: 'simulated', hardware: 'instruments',
-    device: 'instrument', devices: 'instruments', permission: 'permitted', denied: 'permitted', password: 'password',
+    device: 'instrument', devices: 'instruments', permission: 'permitted', denied: 'permitted',
     accurate: 'uncertainty', accuracy: 'uncertainty', precise: 'uncertainty', error: 'message', multiple: 'several',
-    laptop: 'computer', cancel: 'interrupt', abort: 'interrupt', continue: 'resume', table: 'stage', turntable: 'stage',
+    laptop: 'computer', cancel: 'interrupt', abort: 'interrupt', continue: 'resume', table: 'stage', turntable: 'stage', gimbal: 'stage',
+    arduino: 'board', esp32: 'board', stm32: 'board', microcontroller: 'board', i2c: 'board', spi: 'board', mpu6050: 'board', adxl345: 'board',
+    raspberry: 'linux', imu: 'accelerometer', no: 'without', wraps: 'travel', wrap: 'travel', twist: 'travel', convert: 'unit',
+    list: 'supported', rosbag: 'bag', ubuntu: 'debian', fedora: 'debian', docker: 'debian', container: 'debian', mac: 'macos', apple: 'macos',
+    uninstall: 'remove', excel: 'spreadsheet', delete: 'remove', license: 'licence', copyright: 'licence', power: 'mains', blackout: 'mains', outage: 'mains',
+    recalibrate: 'interval', often: 'interval', bias: 'offset', misalignment: 'angles', drift: 'temperature',
   };
 
   // "calibrations", "calibrated", "calibrating" and "calibration" are to find one another; English pages need no more.
@@ -46,11 +51,13 @@
 
   // Pages for those who change the program or follow a number to its source come after pages for those who use it.
   function weightOf(page) {
-    if (/^(changelog|validation|reproduction|decisions\/)/.test(page)) return 0.3;
+    if (/^(validation|reproduction)/.test(page)) return 0.3;
     if (/^(protocols\/|theory\/|architecture|conformance|console_compared)/.test(page)) return 0.5;
     if (/^drivers\//.test(page)) return 0.7;  // Alike in much; whoever asks for one names it.
     return 1;
   }
+
+  const matching = {prefix: (word) => word.length > 3, fuzzy: (word) => (word.length > 5 ? 0.15 : false)};
 
   function build(sections) {
     const index = new MiniSearch(options);
@@ -68,6 +75,12 @@
     return added;
   }
 
+  // @return the words of the question that no page has, nor a word for the same
+  function unknownWords(index, question) {
+    const found = (word) => index.search(word, matching).length > 0;
+    return tokens(question).filter((word) => term(word) && ![word, ...withSameWords(word)].some(found));
+  }
+
   // One hit for each page, its best section first; @return [{page, anchor, title, heading, text, terms, sections}]
   function ask(index, question) {
     const words = {
@@ -78,8 +91,8 @@
       ],
     };
     const found = index.search(words, {
-      boost: {heading: 4, title: 2}, prefix: (word) => word.length > 3, fuzzy: (word) => (word.length > 5 ? 0.15 : false),
-      weights: {prefix: 0.4, fuzzy: 0.2}, boostDocument: (id, word, stored) => weightOf(stored.page),
+      ...matching, boost: {heading: 4, title: 2}, weights: {prefix: 0.4, fuzzy: 0.2},
+      boostDocument: (id, word, stored) => weightOf(stored.page),
     });
     const hits = new Map();
     for (const {page, anchor, title, heading, text, terms} of found) {
@@ -94,5 +107,5 @@
     return [...hits.values()];
   }
 
-  globalThis.abcalSearch = {build, load, ask, tokens, term};
+  globalThis.abcalSearch = {build, load, ask, unknownWords, tokens, term};
 })();

@@ -124,17 +124,16 @@ std::string IioFirmware::Machine::description() const {
       "<?xml version=\"1.0\" encoding=\"utf-8\"?><!DOCTYPE context [<!ELEMENT context (device | "
       "context-attribute)*><!ELEMENT context-attribute EMPTY><!ELEMENT device (channel | attribute | "
       "debug-attribute | buffer-attribute)*><!ELEMENT channel (scan-element?, attribute*)><!ELEMENT "
-      "attribute "
-      "EMPTY><!ELEMENT scan-element EMPTY><!ELEMENT debug-attribute EMPTY><!ELEMENT buffer-attribute "
-      "EMPTY><!ATTLIST context name CDATA #REQUIRED version-major CDATA #REQUIRED version-minor CDATA "
-      "#REQUIRED version-git CDATA #REQUIRED description CDATA #IMPLIED><!ATTLIST context-attribute name "
-      "CDATA #REQUIRED value CDATA #REQUIRED><!ATTLIST device id CDATA #REQUIRED name CDATA #IMPLIED label "
-      "CDATA #IMPLIED><!ATTLIST channel id CDATA #REQUIRED type (input|output) #REQUIRED name CDATA "
-      "#IMPLIED><!ATTLIST scan-element index CDATA #REQUIRED format CDATA #REQUIRED scale CDATA "
-      "#IMPLIED><!ATTLIST attribute name CDATA #REQUIRED filename CDATA #IMPLIED><!ATTLIST debug-attribute "
-      "name CDATA #REQUIRED><!ATTLIST buffer-attribute name CDATA #REQUIRED>]><context name=\"local\" "
-      "version-major=\"0\" version-minor=\"24\" version-git=\"v0.24\" description=\"Linux emulated 6.1.0 "
-      "#1 SMP aarch64\"><context-attribute name=\"local,kernel\" value=\"6.1.0\" />";
+      "attribute EMPTY><!ELEMENT scan-element EMPTY><!ELEMENT debug-attribute EMPTY><!ELEMENT "
+      "buffer-attribute EMPTY><!ATTLIST context name CDATA #REQUIRED version-major CDATA #REQUIRED "
+      "version-minor CDATA #REQUIRED version-git CDATA #REQUIRED description CDATA #IMPLIED><!ATTLIST "
+      "context-attribute name CDATA #REQUIRED value CDATA #REQUIRED><!ATTLIST device id CDATA #REQUIRED name "
+      "CDATA #IMPLIED label CDATA #IMPLIED><!ATTLIST channel id CDATA #REQUIRED type (input|output) "
+      "#REQUIRED name CDATA #IMPLIED><!ATTLIST scan-element index CDATA #REQUIRED format CDATA #REQUIRED "
+      "scale CDATA #IMPLIED><!ATTLIST attribute name CDATA #REQUIRED filename CDATA #IMPLIED><!ATTLIST "
+      "debug-attribute name CDATA #REQUIRED><!ATTLIST buffer-attribute name CDATA #REQUIRED>]><context "
+      "name=\"local\" version-major=\"0\" version-minor=\"24\" version-git=\"v0.24\" description=\"Linux "
+      "emulated 6.1.0 #1 SMP aarch64\"><context-attribute name=\"local,kernel\" value=\"6.1.0\" />";
   xml += fmt::format("<device id=\"{}\" name=\"{}\" >", kDevice, settings_.name);
   for (std::size_t n = 0; n < kScan.size(); ++n) {
     const std::string id(kScan[n].id);

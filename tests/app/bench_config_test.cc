@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "app/measure/bench/make_firmware.h"
+#include "tests/app/bench_text.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
@@ -397,6 +398,20 @@ TEST(BenchConfigTest, ASimulatedSensitivityInAnotherUnitIsAProblem) {
   EXPECT_NO_THROW(parse_bench(
       replaced(toml, "\"vectornav\"\nport = \"simulated\"", "\"vectornav\"\nport = \"/dev/ttyUSB0\""),
       "bench.toml"));
+}
+
+// A survey states its uncertainty; the default that a written file has is no statement.
+TEST(BenchConfigTest, GravityThatIsKnownExactlyIsDoubted) {
+  const auto warnings = [](const std::string& more) {
+    const std::string bench = BenchText().text();
+    const std::string g_loc = "g_loc_mps2 = 9.81\n";
+    const std::size_t at = bench.find(g_loc) + g_loc.size();
+    return parse_bench(bench.substr(0, at) + more + bench.substr(at), "bench").warnings;
+  };
+  const std::string none = "g_loc_expanded_uncertainty_mps2 = 0.0\n", source = "g_loc_source = \"survey\"\n";
+  EXPECT_THAT(warnings(none + source), testing::Contains(testing::HasSubstr("no gravity is known exactly")));
+  EXPECT_THAT(warnings(none), testing::IsEmpty());
+  EXPECT_THAT(warnings("g_loc_expanded_uncertainty_mps2 = 1e-5\n" + source), testing::IsEmpty());
 }
 
 }  // namespace

@@ -37,7 +37,8 @@ std::string readings(const Matrix& s, unsigned seed, const std::string& unit = "
   std::normal_distribution<double> normal(0.0, noise);
   std::ostringstream csv;
   csv.precision(17);
-  csv << "# response_unit: " << unit << "\nexperiment,n,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w\n";
+  csv << "# protocol.estimator: abc\n# response_unit: " << unit
+      << "\nexperiment,n,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w\n";
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int n = 0; n < 12; ++n) {
       const double alpha = 30.0 * n * std::acos(-1.0) / 180.0;
@@ -480,7 +481,7 @@ std::string curved_readings(double k3, unsigned seed) {
   csv.precision(17);
   std::string line;
   for (int n = 0; std::getline(straight, line); ++n) {
-    if (n < 2) {
+    if (n < 3) {  // Two comments and the header.
       csv << line << "\n";
       continue;
     }

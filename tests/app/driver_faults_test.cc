@@ -460,7 +460,7 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
     EXPECT_EQ(error.fault() == Fault::kLinkLost, trouble().kind == FaultKind::kUnplug) << error.what();
     EXPECT_THAT(error.what(), HasSubstr(error.instrument()));
     EXPECT_THAT(error.what(), HasSubstr(error.detail()));
-    EXPECT_GT(error.detail().size(), 10U) << error.what();
+    EXPECT_GT(error.detail().english().size(), 10U) << error.what();
     EXPECT_THAT(error.instrument(), testing::ContainsRegex("port of|SN|ESP301"));
     if (error.fault() == Fault::kRefused) ++refused_;
   }
@@ -558,7 +558,7 @@ TEST_P(StageRefusals, ARefusedMoveIsSaidInTheControllersWords) {
     ADD_FAILURE() << "a move that was refused was accepted";
   } catch (const InstrumentError& error) {
     EXPECT_EQ(error.fault(), Fault::kRefused) << error.what();
-    EXPECT_GT(error.detail().size(), 10U) << error.what();
+    EXPECT_GT(error.detail().english().size(), 10U) << error.what();
   }
   EXPECT_NEAR(driver->encoder_angle(StageAxis::kZ).deg(), 0.0, 1e-3);
   driver->move_to(StageAxis::kX, Angle::degrees(10.0));

@@ -1,5 +1,5 @@
-// The guard's packets, its log, and its work on a chamber, in which time is passed in. Its work on a stage is
-// tested in tests/survival/hang.
+// The guard's packets, its log, and its work on a chamber and a stage, in which time is passed in. Programs
+// and guards as processes are tested in tests/survival/hang.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,17 +13,21 @@
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "app/measure/guard/guard_log.h"
 #include "app/measure/guard/guard_packets.h"
 #include "app/measure/guard/guard_service.h"
-#include "app/system/boot_clock.h"
+#include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/socket_stream.h"
+#include "protocol/record/run_file.h"
 #include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/weiss_firmware.h"
 #include "sim/sim_bench.h"
+#include "tests/app/stage_variants.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
@@ -32,7 +36,9 @@ namespace {
 
 using namespace std::chrono_literals;
 using testing::AllOf;
+using testing::Contains;
 using testing::HasSubstr;
+using testing::Not;
 
 const Clock::UtcTime kNoon{std::chrono::sys_days{std::chrono::year{2026} / 3 / 1} + 12h};
 
@@ -44,8 +50,9 @@ class GuardLogTest : public testing::Test {
       log_.open(file);
       add(GuardLog::kBegan);
     }
-    void add(std::string_view what, const std::string& text = {}) {
-      log_.add(what, kNoon, {{"owner", owner_}, {"text", text}});
+    void add(std::string_view what, const std::string& text = {}, const std::vector<std::string>& axes = {},
+             Clock::UtcTime utc = kNoon) {
+      log_.add(what, utc, {{"owner", owner_}, {"text", text}, {"axes", axes}});
     }
     std::string owner_;
     GuardLog log_;
@@ -61,41 +68,66 @@ TEST_F(GuardLogTest, TellsHowTheLatestSessionOfABenchEnded) {
     run.add(GuardLog::kDied, "it has died");
     run.add(GuardLog::kHalted, "stage: axis X: halted");
   }
-  const std::string words = last_incident(file, "on the bench \"left\"").value_or("");
+  const std::string words = read_motion(file, "on the bench \"left\"").incident;
   EXPECT_THAT(words, AllOf(HasSubstr("a run by A. B."), HasSubstr("2026-03-01T12:00:00"),
                            HasSubstr("it has died"), HasSubstr("axis X: halted")));
-  EXPECT_FALSE(last_incident(file, "on the bench \"right\"")) << "another bench";
+  EXPECT_EQ(read_motion(file, "on the bench \"right\"").incident, "") << "another bench";
 }
 
 TEST_F(GuardLogTest, ASessionThatEndedInOrderIsNoIncident) {
   { Session(file, "bench 1").add(GuardLog::kDied, "it has died"); }
-  EXPECT_TRUE(last_incident(file, "bench 1"));
+  EXPECT_NE(read_motion(file, "bench 1").incident, "");
   { Session(file, "bench 1").add(GuardLog::kEnded); }
-  EXPECT_FALSE(last_incident(file, "bench 1"));
+  EXPECT_EQ(read_motion(file, "bench 1").incident, "");
 }
 
 TEST_F(GuardLogTest, AnAxisThatMovedWhenProgramAndGuardEndedTogetherIsNamed) {
   const auto move = [&](std::string_view what, const char* axis) {
     Session run(file, "bench 1");
-    run.log_.add(GuardLog::kMoves, kNoon, {{"axis", "Z"}});
-    run.log_.add(what, kNoon, {{"axis", axis}});
+    run.add(GuardLog::kMoves, {}, {"Z"});
+    run.add(what, {}, {axis});
   };
   move(GuardLog::kAtRest, "X");
-  EXPECT_THAT(last_incident(file, "bench 1").value_or(""),
+  EXPECT_THAT(read_motion(file, "bench 1").incident,
               AllOf(HasSubstr("bench 1 did not end in order"),
                     HasSubstr("axis Z was moving since 2026-03-01T12:00:00")));
   move(GuardLog::kAtRest, "Z");
-  EXPECT_FALSE(last_incident(file, "bench 1")) << "it was at rest";
+  EXPECT_EQ(read_motion(file, "bench 1").incident, "") << "it was at rest";
+}
+
+/// The guards run no more: nobody has seen what an axis did after its last entry.
+TEST_F(GuardLogTest, EachAxisIsKnownByItsLatestEntryOnThisBench) {
+  const auto states = [&] {
+    const AxesReport axes = read_motion(file, "bench 1").axes;
+    return std::pair(axes[0].state, axes[1].state);
+  };
+  const auto known = [](const char* x, const char* z) { return std::pair<std::string, std::string>(x, z); };
+  EXPECT_EQ(states(), known(axis_state::kNotMoved, axis_state::kNotMoved));
+  { Session(file, "bench 2").add(GuardLog::kMoves, {}, {"X", "Z"}); }
+  EXPECT_EQ(states(), known(axis_state::kNotMoved, axis_state::kNotMoved)) << "another bench";
+  { Session(file, "bench 1").add(GuardLog::kMoves, {}, {"X", "Z"}); }
+  { Session(file, "bench 1").add(GuardLog::kAtRest, {}, {"X"}, kNoon + 1s); }
+  EXPECT_EQ(states(), known(axis_state::kAtRest, axis_state::kUnknown));
+  EXPECT_EQ(read_motion(file, "bench 1").axes[0].since, format_utc(kNoon + 1s));
+  EXPECT_EQ(read_motion(file, "bench 1").axes[1].since, format_utc(kNoon));
+  { Session(file, "bench 1").add(GuardLog::kEnded); }
+  EXPECT_EQ(states(), known(axis_state::kAtRest, axis_state::kUnknown)) << "Z has not been moved since";
+  std::filesystem::rename(file, file.string() + ".1");
+  EXPECT_EQ(states(), known(axis_state::kAtRest, axis_state::kUnknown)) << "the log was put aside";
+  { Session(file, "bench 1").add(GuardLog::kHalted, "halted", {"X", "Z"}); }
+  EXPECT_EQ(states(), known(axis_state::kAtRest, axis_state::kAtRest));
+  { Session(file, "bench 1").add(GuardLog::kNotHalted, "the port is gone", {"X"}); }
+  EXPECT_EQ(states(), known(axis_state::kUnknown, axis_state::kAtRest)) << "nobody tries any more";
 }
 
 TEST_F(GuardLogTest, ALineThatWasCutOffIsPassedOver) {
   { Session(file, "bench 1").add(GuardLog::kHalted, "axis X: halted"); }
   test::write_file(file, test::read_file(file) + "{\"what\":\"en");
-  EXPECT_THAT(last_incident(file, "bench 1").value_or(""), HasSubstr("axis X: halted"));
+  EXPECT_THAT(read_motion(file, "bench 1").incident, HasSubstr("axis X: halted"));
 }
 
 TEST_F(GuardLogTest, WithoutALogThereIsNoIncident) {
-  EXPECT_FALSE(last_incident(folder / "none.log", ""));
+  EXPECT_EQ(read_motion(folder / "none.log", "").incident, "");
 }
 
 TEST(GuardPackets, ARecipeComesThroughAsItIs) {
@@ -109,12 +141,15 @@ TEST(GuardPackets, ARecipeComesThroughAsItIs) {
   recipe.binary = true;
   std::array<int, 2> ends{};
   ASSERT_EQ(::socketpair(AF_UNIX, SOCK_SEQPACKET, 0, ends.data()), 0);
-  ASSERT_TRUE(send_guard_packet(ends[0], to_json(recipe), {ends[0]}));
-  const auto packet = receive_guard_packet(ends[1]);
+  std::vector<Descriptor> sent;
+  sent.emplace_back(::dup(ends[0]));
+  ASSERT_TRUE(send_guard_packet(ends[0], to_json(recipe), sent));
+  sent.clear();
+  auto packet = receive_guard_packet(ends[1]);
   ASSERT_TRUE(packet);
   EXPECT_EQ(halt_recipe_from(packet->json), recipe);
   ASSERT_EQ(packet->descriptors.size(), 1U);
-  ::close(packet->descriptors[0]);
+  packet->descriptors.clear();
   ::close(ends[0]);
   EXPECT_FALSE(receive_guard_packet(ends[1])) << "the end of the connection";
   ::close(ends[1]);
@@ -146,31 +181,40 @@ class AheadClock final : public Clock {
   std::atomic<Duration> ahead_{};
 };
 
-/// The guard of a program that drives a chamber; the test is that program.
-class GuardedChamberTest : public testing::Test {
+/// A guard; the test is the program that it guards.
+class GuardedTest : public testing::Test {
  protected:
-  GuardedChamberTest() {
-    EXPECT_EQ(::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends_.data()), 0);
-    guard_ = std::jthread([this] {
-      GuardService::Options options;
-      options.socket = ends_[1];
-      options.uptime = [] { return uptime(); };
-      options.open = [this](const PortRequest&) {
-        return std::make_unique<sim::FirmwareStream>(std::make_shared<sim::WeissFirmware>(world), clock);
-      };
-      GuardService(clock, std::move(options)).serve();
-    });
-    tell({{"kind", to_guard::kOwner}, {"words", "a series"}, {"log", ""}, {"listen", ""}});
-  }
-  ~GuardedChamberTest() override {
-    tell({{"kind", to_guard::kEnd}});
-    guard_ = {};
+  GuardedTest() { EXPECT_EQ(::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends_.data()), 0); }
+  ~GuardedTest() override {
     for (const int end : ends_) ::close(end);
   }
 
+  void begin(GuardedConnection::OpenPort opener, const GuardLimits& limits = {}) {
+    guard_ = std::jthread([this, opener = std::move(opener), limits] {
+      const auto uptime = [this] { return uptime_.load(); };
+      GuardService(clock, {.socket = ends_[1], .open = opener, .uptime = uptime, .limits = limits}).serve();
+    });
+    tell({{"kind", to_guard::kOwner}, {"words", "a series"}, {"bench", ""}, {"log", ""}, {"listen", ""}});
+  }
+  /// Before the members of a derived class, which it uses, end.
+  void end() {
+    tell({{"kind", to_guard::kEnd}});
+    guard_ = {};
+  }
+
   void tell(const nlohmann::json& packet) { EXPECT_TRUE(send_guard_packet(ends_[0], packet)); }
-  /// A sign of life.
-  void beat(bool has_set_point) { tell(to_json(OwnerBeat{{}, has_set_point, "the temperature"})); }
+  void tell_recipes(const std::string& port, const std::vector<HaltRecipe>& recipes) {
+    nlohmann::json list = nlohmann::json::array();
+    for (const HaltRecipe& recipe : recipes) list.push_back(to_json(recipe));
+    tell({{"kind", to_guard::kRecipes}, {"name", port}, {"recipes", list}});
+    next(to_owner::kTaken);
+  }
+  /// Opens a port. @return the stream to it
+  std::unique_ptr<wire::ByteStream> open(const std::string& port) {
+    tell(to_json(PortRequest{port, "a port", {}, "a series"}));
+    return std::make_unique<wire::SocketStream>(next(to_owner::kOpened).descriptors.at(0).release(), port,
+                                                clock);
+  }
 
   /// The next packet of a kind; all packets but beats are kept in `told`.
   GuardPacket next(const std::string& kind) {
@@ -190,35 +234,48 @@ class GuardedChamberTest : public testing::Test {
   void let_guard_look() {
     for (int k = 0; k < 3; ++k) next(to_owner::kBeat);
   }
+  /// As if the computer had been in suspension.
+  void suspend(Clock::Duration time) { uptime_ = uptime_.load() + time; }
+
+  AheadClock clock;
+  std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+  std::vector<std::string> told;
+
+ private:
+  std::array<int, 2> ends_{};
+  std::atomic<Clock::Duration> uptime_{1h};
+  std::jthread guard_;
+};
+
+/// It drives a chamber.
+class GuardedChamberTest : public GuardedTest {
+ protected:
+  GuardedChamberTest() {
+    begin([this](const PortRequest&) {
+      return std::make_unique<sim::FirmwareStream>(std::make_shared<sim::WeissFirmware>(world), clock);
+    });
+  }
+  ~GuardedChamberTest() override { end(); }
+
+  /// A sign of life.
+  void beat(bool has_set_point) { tell(to_json(OwnerBeat{{}, has_set_point, "the temperature"})); }
 
   /// Opens the chamber, sets 60 degC, and tells the guard how to leave it.
   void drive_to_60(ChamberPolicy policy) {
-    tell(to_json(PortRequest{"chamber", "a port", {}, "a series"}));
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
-    streams.push_back(
-        std::make_unique<wire::SocketStream>(next(to_owner::kOpened).descriptors.at(0), "chamber", clock));
+    streams.push_back(open("chamber"));
     for (const ChamberDriver& driver : chamber_drivers())
       if (driver.name == "weiss_simserv")
         chamber = driver.make(std::move(streams), clock, {.model = "simserv"});
     chamber->identify();
     chamber->set_temperature(60.0, std::nullopt);
     chamber->run();
-    if (const auto recipe = chamber->rest_recipe(policy)) {
-      tell({{"kind", to_guard::kRecipes}, {"name", "chamber"}, {"recipes", {to_json(*recipe)}}});
-      next(to_owner::kTaken);
-    }
+    if (const auto recipe = chamber->rest_recipe(policy)) tell_recipes("chamber", {*recipe});
     told.clear();
   }
   double set_degc() const { return world->commanded_chamber().target_degc; }
 
-  AheadClock clock;
-  std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
   std::unique_ptr<ThermalChamber> chamber;
-  std::vector<std::string> told;
-
- private:
-  std::array<int, 2> ends_{};
-  std::jthread guard_;
 };
 
 TEST_F(GuardedChamberTest, WithoutABeatForAMinuteItFollowsItsPolicy) {
@@ -251,6 +308,137 @@ TEST_F(GuardedChamberTest, OneThatIsToHoldGoesOn) {
   EXPECT_EQ(set_degc(), 60.0);
   EXPECT_TRUE(told.empty()) << told.front();
   EXPECT_EQ(chamber->read().set_degc, 60.0) << "its port is still open";
+}
+
+/// The port of a controller, which a test unplugs.
+class PluggedStream final : public wire::ByteStream {
+ public:
+  PluggedStream(std::shared_ptr<wire::ByteStream> inner, const std::atomic<bool>& is_plugged)
+      : inner_(std::move(inner)), is_plugged_(is_plugged) {}
+
+  void write(std::string_view bytes) override {
+    require();
+    inner_->write(bytes);
+  }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override {
+    require();
+    return inner_->read_until(deadline);
+  }
+  void discard_input() override { inner_->discard_input(); }
+  std::string name() const override { return inner_->name(); }
+
+ private:
+  void require() const {
+    if (!is_plugged_) throw InstrumentError("stage", Fault::kLinkLost, "unplugged");
+  }
+  std::shared_ptr<wire::ByteStream> inner_;
+  const std::atomic<bool>& is_plugged_;
+};
+
+/// It moves a stage.
+class GuardedStageTest : public GuardedTest {
+ protected:
+  GuardedStageTest() {
+    // The beats are those of a test on a busy machine; their limit is tested in tests/survival/hang.
+    begin(
+        [this](const PortRequest& request) {
+          if (!is_plugged) throw InstrumentError(request.port, Fault::kCannotOpen, "unplugged");
+          return std::make_unique<PluggedStream>(port, is_plugged);
+        },
+        {.beat = 1h, .chamber_beat = 1h, .own_beat = 100ms, .give_up = 10min});
+  }
+  ~GuardedStageTest() override { end(); }
+
+  /// Opens the stage and turns X.
+  void turn_x() {
+    turn_x(open("stage"));
+    told.clear();
+  }
+  void turn_x(std::unique_ptr<wire::ByteStream> stream) {
+    std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    streams.push_back(std::move(stream));
+    stage = stage_variant("pi_gcs").make(std::move(streams), clock);
+    stage->identify();
+    stage->home(StageAxis::kX);
+    while (stage->motion_state(StageAxis::kX) == MotionState::kMoving) clock.sleep_until(clock.now() + 10ms);
+    tell_recipes("stage", stage->halt_recipes());
+    beat(true);
+    stage->move_to(StageAxis::kX, Angle::degrees(170.0));
+    ASSERT_TRUE(x_moves());
+  }
+  void beat(bool x_may_move) { tell(to_json(OwnerBeat{{x_may_move, false}, false, "the stage"})); }
+  bool x_moves() const { return world->moving(StageAxis::kX, clock.now()); }
+
+  std::atomic<bool> is_plugged = true;
+  std::shared_ptr<wire::ByteStream> port =
+      std::make_shared<sim::FirmwareStream>(std::make_shared<sim::PiGcsFirmware>(world), clock);
+  std::unique_ptr<RotationStage> stage;
+};
+
+TEST_F(GuardedStageTest, AfterMoreThanASecondWithoutLookingItHalts) {
+  turn_x();
+  suspend(1s);
+  let_guard_look();
+  EXPECT_TRUE(told.empty()) << told.front();
+  EXPECT_TRUE(x_moves());
+  suspend(1s + Clock::Duration(1));
+  EXPECT_THAT(next(to_owner::kHalting).json.at("why").get<std::string>(),
+              HasSubstr("stood still for 1.0 s while an axis was moving"));
+  EXPECT_TRUE(next(to_owner::kHalted).json.at("confirmed").get<bool>());
+  EXPECT_FALSE(x_moves());
+}
+
+/// Its owner takes a guard that gives no beats for one that hangs.
+TEST_F(GuardedStageTest, AfterTheEndOfItsOwnerItGivesBeatsUntilAllIsAtRest) {
+  turn_x();
+  is_plugged = false;
+  EXPECT_FALSE(next(to_owner::kHalted).json.at("confirmed").get<bool>());
+  tell({{"kind", to_guard::kEnd}});
+  let_guard_look();
+  EXPECT_TRUE(x_moves());
+  is_plugged = true;
+  EXPECT_TRUE(next(to_owner::kHalted).json.at("confirmed").get<bool>());
+  EXPECT_FALSE(x_moves());
+  EXPECT_FALSE(next(to_owner::kEnds).json.at("given_up").get<bool>());
+}
+
+TEST_F(GuardedStageTest, AfterTenMinutesItGivesUpAndSaysSo) {
+  turn_x();
+  is_plugged = false;
+  next(to_owner::kHalted);
+  tell({{"kind", to_guard::kEnd}});
+  let_guard_look();
+  clock.move_ahead(5min);
+  let_guard_look();
+  EXPECT_THAT(told, Not(Contains(to_owner::kEnds)));
+  clock.move_ahead(6min);
+  EXPECT_TRUE(next(to_owner::kEnds).json.at("given_up").get<bool>());
+}
+
+TEST_F(GuardedStageTest, APortThatIsLostAtRestKeepsNoOwnerFromItsEnd) {
+  turn_x();
+  stage->halt();
+  beat(false);
+  let_guard_look();
+  is_plugged = false;
+  let_guard_look();
+  beat(true);  // Its command does not reach the stage.
+  tell({{"kind", to_guard::kEnd}});
+  EXPECT_FALSE(next(to_owner::kEnds).json.at("given_up").get<bool>());
+}
+
+/// The guard before it was killed while the port was gone.
+TEST_F(GuardedStageTest, HaltsWhatAnotherGuardHasLeft) {
+  turn_x(std::make_unique<PluggedStream>(port, is_plugged));
+  is_plugged = false;
+  nlohmann::json take_over = to_json(PortRequest{"stage", "a port", {}, "a series"});
+  take_over["kind"] = to_guard::kTakeOver;
+  tell(take_over);
+  EXPECT_FALSE(next(to_owner::kHalted).json.at("confirmed").get<bool>());
+  EXPECT_TRUE(x_moves());
+  is_plugged = true;
+  EXPECT_TRUE(next(to_owner::kHalted).json.at("confirmed").get<bool>());
+  EXPECT_FALSE(x_moves());
 }
 
 }  // namespace

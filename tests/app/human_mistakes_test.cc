@@ -18,6 +18,7 @@
 namespace abcal {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -86,7 +87,13 @@ const std::vector<HumanMistake>& human_mistakes() {
        "driver = \"pi_gcs\""},
       {"Backslashes", "name = \"laboratory 1\"", "name = \"C:\\Users\\lab\"", "a backslash",
        "name = 'C:\\Users\\lab'"},
-      {"PortOfWindows", "port = \"usb:1A72:1007\"", "port = COM3", "abcal instruments", "port = \"COM3\""},
+      {"PortOfWindows", "port = \"usb:1A72:1007\"", "port = COM3", "abcal instruments"},
+      {"MakerAsTheDriver", "driver = \"pi_gcs\"", "driver = \"PI\"", "one of", "driver = \"pi_gcs\""},
+      {"CommaBehindANumber", "steps = 72", "steps = 72,", "a comma at the end", "steps = 72"},
+      {"CommaBehindAText", "driver = \"pi_gcs\"", "driver = \"pi_gcs\",", "a comma at the end",
+       "driver = \"pi_gcs\""},
+      {"KeyOfAnotherSection", "steps = 72", "steps = 72\ntravel_min_deg = -100.0",
+       "or [stage.x] or [stage.z]"},
       {"PathWithoutQuotes", "port = \"usb:1A72:1007\"", "port = /dev/ttyUSB0", "text without quotes",
        "port = \"/dev/ttyUSB0\""},
       {"AddressWithoutQuotes", "port = \"usb:1A72:1007\"", "port = 192.168.1.5", "text without quotes",
@@ -171,6 +178,16 @@ TEST_P(HumanMistakesTest, WhatIsOfferedIsAccepted) {
   } else {
     EXPECT_EQ(answer, "accepted");
   }
+}
+
+TEST(HumanMistakesTest, APortIsOneOfThisComputerAndOfOneInstrument) {
+  const auto answer = [](const std::string& name, const std::string& good, const std::string& written) {
+    return answer_to(with({name, good, written, ""}));
+  };
+  EXPECT_THAT(answer("PortOfWindows", "port = \"usb:1A72:1007\"", "port = \"COM3\""),
+              AllOf(HasSubstr("line 39, [stage] port: found \"COM3\""), HasSubstr("abcal instruments")));
+  EXPECT_THAT(answer("PortOfTheStage", "port = \"usb:199B:3065\"", "port = \"usb:1A72:1007\""),
+              AllOf(HasSubstr("[accelerometer] port"), HasSubstr("one port has one instrument")));
 }
 
 TEST(HumanMistakesTest, AllMistakesOfAFileAreSaidAtOnce) {

@@ -141,6 +141,24 @@ TEST_F(ProgramTest, PlanShowsTheSequenceAndEveryProblem) {
   EXPECT_THAT(refused.err, AllOf(HasSubstr("axis X"), HasSubstr("alpha = 30")));
 }
 
+TEST_F(ProgramTest, TheShortestPlanIsPrintedWithItsCheckAndOtherTimesOnlyOnRequest) {
+  write_bench({});
+  const ProgramResult plan = abcal({"plan", "bench.toml", "--reach", "s=1e-4", "--noise", "1e-4"});
+  ASSERT_EQ(plan.exit_code, 0) << plan.err;
+  EXPECT_THAT(plan.out, AllOf(HasSubstr("3 x 12 angles"), HasSubstr("Checked by the whole analysis of 3 "),
+                              Not(HasSubstr("other times"))));
+  const ProgramResult others =
+      abcal({"plan", "bench.toml", "--reach", "s=1e-4", "--noise", "1e-4", "--others"});
+  ASSERT_EQ(others.exit_code, 0) << others.err;
+  EXPECT_TRUE(others.out.starts_with(plan.out)) << "the answer comes first";
+  EXPECT_THAT(others.out, HasSubstr("What other times give"));
+  const ProgramResult json =
+      abcal({"plan", "bench.toml", "--reach", "s=1e-4", "--noise", "1e-4", "--others", "--json"});
+  EXPECT_GT(Json::parse(json.out)["curve"].size(), 3U);
+  EXPECT_EQ(Json::parse(json.out)["checked"]["runs"], 3);
+  EXPECT_EQ(abcal({"plan", "bench.toml", "--others"}).exit_code, 2);
+}
+
 TEST_F(ProgramTest, UsageAndBenchFileErrorsExitWith2AndLeaveNothingBehind) {
   EXPECT_EQ(abcal({}).exit_code, 2);
   EXPECT_EQ(abcal({"calibrate"}).exit_code, 2);
@@ -196,7 +214,7 @@ TEST_F(ProgramTest, AFullDiskHaltsTheStageKeepsTheAnglesAndCanBeResumed) {
   const StoredRun stored = RunFile::load(folder / "a.run");
   EXPECT_GT(stored.measured.size(), 0U);
   EXPECT_LT(stored.measured.size(), stored.header.plan.size());
-  const ProgramResult resumed = abcal({"resume", "a.run"});
+  const ProgramResult resumed = abcal({"resume", "a.run", "--full"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   EXPECT_THAT(test::unwrapped(resumed.out), HasSubstr("the run was interrupted and resumed once"));
   EXPECT_EQ(RunFile::load(folder / "a.run").state, RunState::kComplete);

@@ -282,7 +282,8 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
       EXPECT_TRUE(right_faults(one.fault.kind).contains(*found)) << to_string(*found);
       const StoredRun stored = RunFile::load(run.path());
       EXPECT_EQ(stored.state, RunState::kInterrupted);
-      const bool acknowledged = stored.events.back().text.find("the stage is halted") != std::string::npos;
+      const std::string last = stored.events.back().text;
+      const bool acknowledged = last.find("the stage is halted") != std::string::npos;
       if (acknowledged) {
         EXPECT_FALSE(run.left_moving());
       } else {
@@ -290,8 +291,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
         EXPECT_TRUE(one.instrument.starts_with("stage") &&
                     (one.fault.on_the_wire || one.fault.kind == FaultKind::kLostController));
       }
-      EXPECT_THAT(why,
-                  HasSubstr(stored.events.back().text.substr(stored.events.back().text.find("; the stage"))));
+      EXPECT_THAT(why, HasSubstr(last.substr(last.find("; the stage"))));
       // The fault is removed.
       run.change_bench = [](BenchConfig& config) { config.faults.clear(); };
       std::filesystem::copy_file(run.path(), folder / "kept.run",

@@ -112,11 +112,15 @@ class SignalsAndHelpersTest : public SignalsTest {
 };
 
 TEST_F(SignalsAndHelpersTest, NoHelperAndNoTemporaryFileOutlivesTheProgram) {
-  const std::filesystem::path plotter = folder / "bin/gnuplot", started = folder / "started";
-  test::write_file(plotter, "#!/bin/sh\nsleep 600 &\necho $! >'" + started.string() + "'\nwait\n");
-  std::filesystem::permissions(plotter, std::filesystem::perms::owner_all);
-  test::write_file(folder / "run.csv", sine_readings(12));
-  test::Program report({"report", "run.csv", "--html", "page.html"}, folder.path());
+  const std::filesystem::path printer = folder / "bin/weasyprint", started = folder / "started";
+  ASSERT_EQ(abcal({"run", (test::source_folder() / "docs/examples/simulated.toml").string(), "-o", "a.run"})
+                .exit_code,
+            0);
+  test::write_file(printer, "#!/bin/sh\nsleep 600 &\necho $! >'" + started.string() + "'\nwait\n");
+  std::filesystem::permissions(printer, std::filesystem::perms::owner_all);
+  test::Program report({"report", "a.run", "--draft", "--pdf", "a.pdf", "--laboratory",
+                        (test::source_folder() / "docs/examples/laboratory.toml").string()},
+                       folder.path());
   ASSERT_TRUE(test::wait_for([&] { return test::read_file(started).ends_with('\n'); }, 60s)) << report.err();
   report.signal(SIGTERM);
   EXPECT_EQ(report.wait(), 128 + SIGTERM);
@@ -125,7 +129,7 @@ TEST_F(SignalsAndHelpersTest, NoHelperAndNoTemporaryFileOutlivesTheProgram) {
   EXPECT_TRUE(test::wait_for([&] { return has_ended(pid); }, 10s)) << "what the helper had started";
   EXPECT_TRUE(std::filesystem::is_empty(folder / "tmp"));
   for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
-    EXPECT_NE(entry.path().extension(), ".html") << entry.path();
+    EXPECT_NE(entry.path().extension(), ".pdf") << entry.path();
 }
 
 /// Sends this process a signal, and waits until it has been handled. @return 7 if the process goes on

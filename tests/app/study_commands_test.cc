@@ -25,7 +25,7 @@ using Json = nlohmann::json;
 // Averaged readings of an accelerometer (s row by row over 1 g_loc, O) on a perfect stage, 12 angles of 30
 // degrees: docs/theory/model.md, written down once more.
 std::string perfect_run(const std::array<double, 9>& s, const std::array<double, 3>& offset) {
-  std::string csv = "experiment,n,alpha_deg,r_u,r_v,r_w\n";
+  std::string csv = "# protocol.estimator: abc\nexperiment,n,alpha_deg,r_u,r_v,r_w\n";
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int n = 0; n < 12; ++n) {
       const double alpha = 30.0 * n * std::acos(-1.0) / 180.0;
@@ -218,7 +218,11 @@ TEST_F(StudyCommands, TheUncertaintyIsThatOfTheDeclaredEstimator) {
   const ProgramResult wrong = abcal({"uncertainty", "a.run", "--preset", "paper"});
   EXPECT_EQ(wrong.exit_code, 2);
   EXPECT_THAT(wrong.err, AllOf(HasSubstr("--preset"), HasSubstr("--estimator abc")));
-  EXPECT_EQ(abcal({"uncertainty", "a.run", "--estimator", "norm"}).exit_code, 2);
+  const ProgramResult norm = abcal({"uncertainty", "a.run", "--estimator", "norm", "--step", "0.01"});
+  EXPECT_EQ(norm.exit_code, 2);
+  EXPECT_THAT(norm.err, AllOf(HasSubstr("--step"), HasSubstr("--estimator joint")));
+  EXPECT_EQ(json_of({"uncertainty", "a.run", "--estimator", "norm", "--trials", "200"}).at("estimator"),
+            "norm");
 }
 
 TEST_F(StudyCommands, SeveralProcessesGiveTheSameBitsAsOne) {

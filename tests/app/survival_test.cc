@@ -59,7 +59,7 @@ class SurvivalTest : public ProgramTest {
         kept = measured(name);
       }
       const bool complete = RunFile::load(path).state == RunState::kComplete;
-      const ProgramResult resumed = abcal({"resume", name});
+      const ProgramResult resumed = abcal({"resume", name, "--full"});
       if (complete) {
         // Closed or analysed now, if it was not; a closed one cannot be resumed.
         EXPECT_TRUE(resumed.exit_code == 0 || resumed.err.find("closed run") != std::string::npos)
@@ -67,7 +67,7 @@ class SurvivalTest : public ProgramTest {
         ++killed_when_complete;
       } else {
         ASSERT_EQ(resumed.exit_code, 0) << resumed.err;
-        EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and resumed"));
+        EXPECT_THAT(test::unwrapped(resumed.out), HasSubstr("the run was interrupted and resumed"));
       }
       EXPECT_EQ(integrity(path), "ok");
       const std::vector<std::string> bits = measured_bits(path);
@@ -129,7 +129,7 @@ class SurvivalTest : public ProgramTest {
                                                       "at_s = {}\nfor_s = {}\n",
                                                       stage ? "stage" : "accelerometer", at_s, for_s));
       const std::string name = fmt::format("unplugged-{}.run", k);
-      const ProgramResult run = abcal({"run", "unplugged.toml", "-o", name});
+      const ProgramResult run = abcal({"run", "unplugged.toml", "-o", name, "--full"});
       if (!std::filesystem::exists(folder / name)) {  // Unplugged before the identification.
         EXPECT_EQ(run.exit_code, 3) << run.err;
         ++halted;
@@ -140,7 +140,8 @@ class SurvivalTest : public ProgramTest {
         ++completed;
         noticed += stored.record.reconnections;
         EXPECT_EQ(measured_bits(folder / name), measured_bits(folder / "whole.run"));
-        EXPECT_EQ(run.out.find("came back once") != std::string::npos, stored.record.reconnections == 1);
+        EXPECT_EQ(test::unwrapped(run.out).find("came back once") != std::string::npos,
+                  stored.record.reconnections == 1);
         EXPECT_EQ(abcal({"verify", name}).exit_code, 0);
       } else {
         ++halted;
@@ -191,7 +192,7 @@ class ReplugTest : public EmulatedBenchTest {
     const StoredRun stored = RunFile::load(folder / "a.run");
     EXPECT_EQ(stored.measured.size(), stored.header.plan.size());
     EXPECT_GT(stored.record.reconnections, 2) << run.err;
-    EXPECT_THAT(abcal({"analyse", "a.run", "--full"}).out,
+    EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run", "--full"}).out),
                 HasSubstr("with the same serial number where it has one"));
     fmt::print("{} reconnections in one run of {:.1f} s\n", stored.record.reconnections,
                stored.timing.total_s());

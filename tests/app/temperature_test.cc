@@ -329,7 +329,8 @@ TEST_F(KilledSeriesTest, LeavesTheChamberAsThePolicySaysAndTheStageHalted) {
     EXPECT_TRUE(after["chamber"]["running"].get<bool>());
     EXPECT_FALSE(after["chamber"]["paused"].get<bool>());
     emulator_.reset();
-    for (const char* name : {"bench-temperature-01.run", "bench-temperature-01.run.results"})
+    for (const char* name : {"bench-temperature-01.run", "bench-temperature-01.run-wal",
+                             "bench-temperature-01.run-shm", "bench-temperature-01.run.results"})
       std::filesystem::remove(folder / name);
   }
 }

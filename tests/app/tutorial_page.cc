@@ -23,7 +23,7 @@ std::vector<std::string> lines_of(const std::string& text) {
 }
 
 bool is_command(const std::string& line) {
-  static const std::regex command("(abcal|cp|export|mkdir|unset) .*");
+  static const std::regex command("(abcal|cp|export|mkdir|sed|unset) .*");
   return std::regex_match(line, command);
 }
 

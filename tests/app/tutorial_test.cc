@@ -166,7 +166,7 @@ class TutorialTest : public testing::Test {
   /// otherwise not be tried any more.
   void look_at_the_end() {
     for (const char* file : {"first.run", "second.run", "first.html", "first.pdf", "first.csv", "first.h5",
-                             "first.xml", "training.db"})
+                             "first.xml", "training.db", "twice.measurement", "twice.html", "twice.xml"})
       EXPECT_TRUE(std::filesystem::exists(first / file)) << file;
     EXPECT_EQ(interrupted, 1) << "Ctrl-C";
     EXPECT_EQ(mistakes, 1) << "two mistakes";

@@ -40,7 +40,7 @@ FinishedEvent finished(bool complete, const std::string& reason) {
   end.file = "a.run";
   end.complete = complete;
   end.verdict = complete ? "usable" : "";
-  end.reason = reason;
+  end.reason = Message::bare(reason);
   return end;
 }
 
@@ -90,9 +90,9 @@ TEST_F(LiveViewTest, GrowsACurvePointByPoint) {
 TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   RunBeganEvent began = run_of(12);
-  began.items = {{1, "SN 1", "A", "g", 100.0, ""},
-                 {2, "SN 2", "B", "m/s2", 50.0, ""},
-                 {3, "SN 3", "A", "g", 100.0, "no answer"}};
+  began.items = {{1, "SN 1", "A", "g", 100.0, {}},
+                 {2, "SN 2", "B", "m/s2", 50.0, {}},
+                 {3, "SN 3", "A", "g", 100.0, Message("no answer")}};
   apply(began);
   const auto items = [&] { return snapshot()["run"]["items"]; };
   EXPECT_EQ(items()[2]["missing"], "no answer");
@@ -104,13 +104,15 @@ TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
   EXPECT_EQ(items()[1]["measured"], 2);
   EXPECT_EQ(items()[2]["measured"], 0);
 
-  const std::string why = "item 2, accelerometer B (SN 2) is left out";
+  const Message why("item {item}, accelerometer {model} (SN {serial}) is left out", 2, "B", "2");
   const Json dropped = apply(NoticeEvent{"item dropped", why, 2});
   EXPECT_EQ(dropped["event"], "notice");
   EXPECT_EQ(dropped["item"], 2);
-  EXPECT_EQ(dropped["line"]["text"], why);
+  EXPECT_EQ(dropped["line"]["text"], why.english());
+  EXPECT_EQ(dropped["messages"][0]["id"], why.id());
+  EXPECT_EQ(dropped["line"]["messages"][0]["id"], why.id());
   EXPECT_EQ(dropped["line"]["grade"], "warning");
-  EXPECT_EQ(items()[1]["missing"], why);
+  EXPECT_EQ(items()[1]["missing"], why.english());
   apply(done(2, {{1, 1.0}}));  // Item 1 is the only one left.
   EXPECT_EQ(items()[0]["measured"], 3);
   EXPECT_EQ(items()[1]["measured"], 2);
@@ -121,9 +123,9 @@ TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
 TEST_F(LiveViewTest, WhatIsSaidOfAnItemIsNotFoundInASentence) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   RunBeganEvent began = run_of(12);
-  began.items = {{1, "SN 1", "A", "g", 100.0, ""}, {2, "SN 2", "B", "g", 100.0, ""}};
+  began.items = {{1, "SN 1", "A", "g", 100.0, {}}, {2, "SN 2", "B", "g", 100.0, {}}};
   apply(began);
-  apply(NoticeEvent{"item dropped", "item 1 is well, this one is not", 2});
+  apply(NoticeEvent{"item dropped", Message("item 1 is well, this one is not"), 2});
   EXPECT_EQ(snapshot()["run"]["items"][0]["missing"], "");
   EXPECT_NE(snapshot()["run"]["items"][1]["missing"], "");
 }
@@ -159,7 +161,7 @@ TEST_F(LiveViewTest, ShowsTheReadingsOfEachOfSeveralItems) {
 TEST_F(LiveViewTest, TheCurveIsThatOfOneItemAlone) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   RunBeganEvent began = run_of(12);
-  began.items = {{1, "SN 1", "A", "g", 100.0, ""}, {2, "SN 2", "B", "g", 100.0, ""}};
+  began.items = {{1, "SN 1", "A", "g", 100.0, {}}, {2, "SN 2", "B", "g", 100.0, {}}};
   apply(began);
   for (std::size_t position = 0; position < 6; ++position) apply(done(position, {{1, 1.0}}));
   // Item 1 is left out: the view then shows item 2, without the angles of the other.
@@ -175,7 +177,7 @@ TEST_F(LiveViewTest, ARunThatGoesOnHasTheItemsThatWereLeftOutBefore) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   RunBeganEvent began = run_of(12);
   began.resumed = true;
-  began.items = {{1, "SN 1", "A", "g", 100.0, "left out", 3}, {2, "SN 2", "B", "g", 100.0, "", 5}};
+  began.items = {{1, "SN 1", "A", "g", 100.0, Message("left out"), 3}, {2, "SN 2", "B", "g", 100.0, {}, 5}};
   began.measured.push_back(done(4, {{2, 1.0}}));
   const Json whole = apply(began);
   EXPECT_EQ(whole["log"].back()["text"], "Run a.run continues: 1 of 12 angles are measured.");
@@ -251,7 +253,7 @@ TEST_F(LiveViewTest, KeepsOnlyTheLatestOfWhatGrowsWithoutEnd) {
     group.time_s = i;
     group.mean = group.lowest = group.highest = Eigen::Vector3d::Zero();
     apply(group);
-    apply(LogLine{LogLine::Grade::kInfo, "line " + std::to_string(i)});
+    apply(LogLine{LogLine::Grade::kInfo, Message("line {number}", i)});
   }
   const Json json = snapshot();
   EXPECT_EQ(json["strip"].size(), 400U);
@@ -289,7 +291,7 @@ TEST_F(LiveViewTest, EveryFlagHasItsWords) {
 }
 
 TEST_F(LiveViewTest, WhatAnInstrumentSaysMayBeAnyBytes) {
-  EXPECT_EQ(apply(LogLine{LogLine::Grade::kProblem, "said \xff\xfe <b>"})["line"]["text"],
+  EXPECT_EQ(apply(LogLine{LogLine::Grade::kProblem, Message("said \xff\xfe <b>")})["line"]["text"],
             "said \xEF\xBF\xBD\xEF\xBF\xBD <b>");
 }
 

@@ -26,7 +26,7 @@ RunChoice item(const std::string& serial) {
 }
 
 ItemCheck good(const std::string& reported = "") {
-  return {{{Finding::Grade::kGood, "identity", "", ""}}, reported};
+  return {{{Finding::Grade::kGood, Message("identity"), {}, {}}}, reported};
 }
 
 class QueueTest : public testing::Test {
@@ -41,7 +41,7 @@ class QueueTest : public testing::Test {
     queue.checked(number, good());
     EXPECT_EQ(queue.may_start(number), std::nullopt);
     queue.began(number, run);
-    EXPECT_TRUE(queue.ended(run, true, ""));
+    EXPECT_TRUE(queue.ended(run, true, {}));
   }
 
   test::TemporaryFolder folder;
@@ -71,7 +71,7 @@ TEST_F(QueueTest, NothingStartsBeforeItsItemWasChecked) {
   EXPECT_THAT(*queue.may_start(2), HasSubstr("not the next"));
   queue.unchecked();
   EXPECT_THAT(*queue.may_start(1), HasSubstr("nobody has checked"));
-  queue.checked(1, {{{Finding::Grade::kProblem, "mounting", "", ""}}, ""});
+  queue.checked(1, {{{Finding::Grade::kProblem, Message("mounting"), {}, {}}}, ""});
   EXPECT_THAT(*queue.may_start(1), HasSubstr("found a problem"));
   measure(queue, 1, "a.run");
   EXPECT_EQ(queue.repeats(), nullptr);
@@ -87,7 +87,7 @@ TEST_F(QueueTest, AnItemThatStaysMountedIsRepeated) {
   EXPECT_EQ(queue.repeats()->number, 1);
   queue.began(1, "2.run");
   EXPECT_EQ(queue.repeats(), nullptr);
-  (void)queue.ended("2.run", true, "");
+  (void)queue.ended("2.run", true, {});
   EXPECT_EQ(queue.repeats(), nullptr) << "the next is another item";
   EXPECT_EQ(queue.next()->number, 2);
   EXPECT_EQ(queue.repeat(1), std::nullopt);  // Repeats an entry that is done: a new entry.
@@ -104,11 +104,11 @@ TEST_F(QueueTest, PauseAndFailureEndTheRepetition) {
   EXPECT_EQ(queue.repeats(), nullptr) << "somebody may have changed the item meanwhile";
   queue.checked(1, good());
   queue.began(1, "2.run");
-  EXPECT_TRUE(queue.ended("2.run", false, "the stage stalled"));
+  EXPECT_TRUE(queue.ended("2.run", false, Message("the stage stalled")));
   EXPECT_TRUE(queue.paused());
   EXPECT_EQ(queue.entries()[0].problem, "the stage stalled");
-  EXPECT_FALSE(queue.ended("other.run", true, ""));
-  EXPECT_TRUE(queue.ended("2.run", true, "")) << "resumed to its end";
+  EXPECT_FALSE(queue.ended("other.run", true, {}));
+  EXPECT_TRUE(queue.ended("2.run", true, {})) << "resumed to its end";
   EXPECT_THAT(queue.entries()[0].made, ElementsAre("1.run", "2.run"));
   EXPECT_EQ(queue.entries()[0].problem, "");
 }

@@ -187,9 +187,11 @@ TEST(PagesTest, EveryCheckHasItsCauseAndRemedy) {
   const std::set<std::string> checks = quotations_below("## Checks of a run");
   const std::regex entry(R"re(\{"([^"]+)",\s*"[^"]*"\})re");
   std::size_t known = 0;
-  for (std::sregex_iterator match(text.begin(), text.end(), entry), end; match != end; ++match, ++known)
-    EXPECT_TRUE(checks.contains((*match)[1]))
-        << "docs/troubleshooting.md has no check `" << (*match)[1] << '`';
+  for (std::sregex_iterator match(text.begin(), text.end(), entry), end; match != end; ++match, ++known) {
+    // The page names a check of each output without the output.
+    const std::string name = std::regex_replace((*match)[1].str(), std::regex(R"( (of )?\{output\}.*)"), "");
+    EXPECT_TRUE(checks.contains(name)) << "docs/troubleshooting.md has no check `" << name << '`';
+  }
   EXPECT_GE(known, 18U);
 }
 

@@ -22,7 +22,7 @@ function fail(message) {
   ++failed;
 }
 
-if (questions.length < 30) fail(`${questions.length} questions; required: at least 30`);
+if (questions.length < 60) fail(`${questions.length} questions; required: at least 60`);
 for (const {question, answers} of questions) {
   for (const answer of answers)
     if (!known.has(answer)) fail(`"${question}": its answer ${answer} is not below ${docs}`);
@@ -32,7 +32,11 @@ for (const {question, answers} of questions) {
   if (!answers.some((answer) => shown.has(answer)))
     fail(`"${question}": required: one of ${answers.join(', ')}; found: ${hits.map((hit) => `${hit.page}#${hit.anchor}`).join(', ')}`);
 }
-// Nothing is found for a word that no page has: the hits above are hits.
+// Nothing is found for a word that no page has, and the search says so: the hits above are hits.
 if (search.ask(index, 'xylophone').length > 0) fail('"xylophone" has hits');
+const unknown = search.unknownWords(index, 'a xylophone on an Arduino').join();
+if (unknown !== 'xylophone') fail(`words that no page has: found: ${unknown}; required: xylophone`);
+// The record of changes and decisions is no answer.
+for (const {page} of sections) if (/^(changelog|decisions)/.test(page)) fail(`${page} is in the index`);
 console.log(`${questions.length} questions, ${sections.length} sections, ${failed} failures`);
 process.exit(failed > 0 ? 1 : 0);

@@ -179,6 +179,40 @@ class Files(unittest.TestCase):
                 abcal.load(path)
 
 
+class Tables(unittest.TestCase):
+    """Readings without angles: an array, or a file of others."""
+
+    def setUp(self):
+        random = np.random.default_rng(3)
+        directions = random.normal(size=(30, 3))
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        self.poses = directions * [1.002, 0.998, 1.0] + [0.01, -0.02, 0.03] + 1e-4 * random.normal(size=(30, 3))
+
+    def test_an_array_and_a_file_of_it_give_the_same(self):
+        result = abcal.calibrate(self.poses, unit="g")
+        self.assertEqual((result.estimator, result.response_unit, result.verdict), ("norm", "g", "usable"))
+        np.testing.assert_allclose(result.intrinsic_sensitivity.value, [1.002, 0.998, 1.0], atol=1e-3)
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "poses.txt"
+            np.savetxt(path, np.column_stack([range(30), self.poses]), header="id x y z", fmt="%.17g")
+            again = abcal.calibrate(path, unit="g")
+        np.testing.assert_array_equal(again.offset.value, result.offset.value)
+        class Frame:  # As a DataFrame has it: names, and values of any kind.
+            columns = ["note, in words", "az", "ax", "ay"]
+            values = [["by hand", float(z), float(x), float(y)] for x, y, z in self.poses]
+
+        framed = abcal.calibrate(Frame(), unit="g")
+        np.testing.assert_array_equal(framed.offset.value, result.offset.value)
+        other = abcal.calibrate(self.poses[:, ::-1], unit="g", columns="z,y,x")
+        np.testing.assert_array_equal(other.offset.value, result.offset.value)
+
+    def test_what_is_wrong_with_a_table_is_said(self):
+        with self.assertRaisesRegex(RuntimeError, "array: line 1, header: found 2 columns without a header"):
+            abcal.calibrate(self.poses[:, :2])
+        with self.assertRaisesRegex(ValueError, "--estimator norm"):
+            abcal.calibrate(self.poses, estimator="joint")
+
+
 class OtherPackages(unittest.TestCase):
     def test_pandas(self):
         try:

@@ -36,7 +36,7 @@ def without_particulars(notebook):
 
 
 def shown(cell):
-    """The outputs of a cell, but for pixels: matplotlib and gnuplot of another release draw other ones."""
+    """The outputs of a cell, but for pictures: matplotlib of another release draws other ones."""
     parts, streamed = [], False
     for output in cell.get("outputs", []):
         if output.output_type == "stream":

@@ -285,6 +285,12 @@ TEST_F(PrintedCertificateTest, TheSignaturesAreVerifiedAndAreTheApprovers) {
       shell("openssl cms -sign -binary -in c.pdf -signer other.crt -inkey other.pem -outform DER -out "
             "c.pdf.p7s"))
       << file("log");
+  // Pages without a signature: the XML inside is compared, and nobody says that the pages show it.
+  test::write_file(*folder_ / "d.pdf", file("a.pdf"));
+  const test::ProgramResult pages_alone = abcal({"verify", "a.run", "--pdf", "d.pdf"});
+  EXPECT_EQ(pages_alone.exit_code, 1);
+  EXPECT_THAT(pages_alone.out, testing::AllOf(HasSubstr("d.pdf, XML inside: is certificate T-"),
+                                              HasSubstr("d.pdf.p7s: is not there: nobody signed the pages")));
   const test::ProgramResult another = abcal({"verify", "a.run", "--pdf", "c.pdf"});
   EXPECT_EQ(another.exit_code, 1);
   EXPECT_THAT(another.out, HasSubstr("verifies by a key of Operator N. N., but Approver N. N. approved"));

@@ -128,7 +128,7 @@ struct SimulatedRun {
       ++count_;
       if (run_.after_dwell) run_.after_dwell(world_, clock_.now(), count_);
     }
-    void notice(std::string_view, std::string_view text, std::optional<int>) override {
+    void notice(std::string_view, const Message& text, std::optional<int>) override {
       run_.notices.emplace_back(text);
     }
 

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "app/bench_file/not_real.h"
-#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
@@ -47,37 +47,34 @@ CorrectionRegisters& ApplySession::registers() const {
   if (found != nullptr) return *found;
   throw InstrumentError(
       "accelerometer " + item_.accelerometer.model, Fault::kRefused,
-      "this program can write no register of such an instrument; required: a driver of the list "
-      "in docs/apply.md. abcal export writes the constants for a program that corrects readings");
+      "this program can write no register of such an instrument; required: a driver of the list in "
+      "docs/apply.md. abcal export writes the constants for a program that corrects readings");
 }
 
 CalibrationResult ApplySession::find_result(const ApplyRequest& request, StoredRun& run) const {
-  std::vector<StoredRun> items = load_items(request.run);
-  if (!RunFile::looks_like_run_file(request.run))
+  AnalysedRun analysed = analyse_file_by(request.run, request.estimator);
+  const int chosen = chosen_item(request.run, request.item);
+  run = analysed.item(chosen).stored;
+  if (!RunFile::looks_like_run_file(request.run) && analysed.runs.empty())
     throw std::invalid_argument(fmt::format(
         "{}: a CSV, which does not say what was measured; required: a run file", request.run.string()));
-  const int chosen = chosen_item(request.run, request.item);
-  run = items.at(static_cast<std::size_t>(chosen) - 1);
   if (run.state != RunState::kComplete)
     throw std::invalid_argument(fmt::format("{}: the run is not complete; required: abcal resume {} first",
                                             request.run.string(), request.run.string()));
   if (run.own_item().registers.empty())
     throw std::invalid_argument(
         fmt::format("{}: does not say which corrections the instrument applied; required: a run of an "
-                    "instrument that tells "
-                    "them (docs/apply.md), by version 1.0 or later",
+                    "instrument that tells them (docs/apply.md), by version 1.0 or later",
                     request.run.string()));
-  const std::string estimator =
-      request.estimator.empty() ? declared_estimator(run.record).name : request.estimator;
-  CalibrationResult result = analyse_run(std::move(items), estimator).item(chosen).results.front();
+  CalibrationResult result = std::move(analysed.item(chosen).results.front());
   if (result.verdict == Verdict::kNotUsable)
     throw std::invalid_argument(fmt::format("{}: the result of {} is not usable: {}. Nothing was written",
                                             request.run.string(), result.estimator, result.why));
   if (result.verdict == Verdict::kDoubtful && !request.accept_doubtful)
-    throw std::invalid_argument(fmt::format(
-        "{}: the result of {} is doubtful: {}; required: a usable one, or --accept-doubtful, if this "
-        "reason does not matter here. Nothing was written",
-        request.run.string(), result.estimator, result.why));
+    throw std::invalid_argument(
+        fmt::format("{}: the result of {} is doubtful: {}; required: a usable one, or --accept-doubtful, if "
+                    "this reason does not matter here. Nothing was written",
+                    request.run.string(), result.estimator, result.why));
   return result;
 }
 
@@ -98,7 +95,7 @@ void ApplySession::open(const ApplyRequest& request, int item, const std::string
   }
   if (!item_.missing.empty())
     throw InstrumentError("item " + std::to_string(item_.k), Fault::kNotReady,
-                          item_.missing + ". Nothing was written");
+                          Message("{why}. Nothing was written", item_.missing));
 }
 
 /// The settings of the instrument in the bench file.
@@ -123,13 +120,12 @@ void ApplySession::require_serial_number(const std::string& wanted, const std::s
   if (on_label.empty())
     refuse(
         "it reports no serial number, and the run has none; required: serial_number under [item] of the "
-        "bench "
-        "file of the run");
+        "bench file of the run");
   if (given != on_label)
-    refuse(fmt::format(
-        "it reports no serial number; required: --label SERIAL, as it stands on the instrument that is "
-        "connected now: that of the run is {}{}",
-        on_label, given.empty() ? "" : ", " + given + " was given"));
+    refuse(
+        fmt::format("it reports no serial number; required: --label SERIAL, as it stands on the instrument "
+                    "that is connected now: that of the run is {}{}",
+                    on_label, given.empty() ? "" : ", " + given + " was given"));
 }
 
 void ApplySession::require_same_item(const StoredRun& run, const ApplyRequest& request) const {
@@ -164,8 +160,7 @@ ApplyReport ApplySession::compute(const ApplyRequest& request) {
   if (request.frame == ExportFrame::kPlatter && ability_.shape != CorrectionShape::kFull)
     throw std::invalid_argument(
         "--frame platter: these registers hold no matrix, so that they cannot correct the mounting; "
-        "required: "
-        "--frame item");
+        "required: --frame item");
   report.item = run.item;
   report.driver = run.own_item().driver;
   report.model = item_.accelerometer.model;
@@ -187,15 +182,13 @@ ApplyReport ApplySession::apply(const ApplyRequest& request) {
   if (request.dry_run) return report;
   const std::string who = "accelerometer " + report.model;
   if (ability_.keeps_at_once && !request.save)
-    throw InstrumentError(
-        who, Fault::kRefused,
-        "it keeps what is written when it is switched off: nothing can be tried first; required: "
-        "--save, if this is wanted. Nothing was written");
+    throw InstrumentError(who, Fault::kRefused,
+                          "it keeps what is written when it is switched off: nothing can be tried first; "
+                          "required: --save, if this is wanted. Nothing was written");
   if (request.save && !ability_.can_save)
     throw InstrumentError(
         who, Fault::kRefused,
-        "it cannot keep its registers when it is switched off; required: no --save. Nothing was "
-        "written");
+        "it cannot keep its registers when it is switched off; required: no --save. Nothing was written");
   registers().require_writable();
   AdjustmentLog log(request.run);
   if (const Adjustment* last = log.last_to_undo(report.item); last != nullptr && last->is_unfinished())

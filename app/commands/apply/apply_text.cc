@@ -134,8 +134,7 @@ std::string outcome_text(const ApplyReport& report) {
   if (report.left)
     text += fmt::format(
         "  One certificate with both: abcal report {} --as-found {} --laboratory LAB.toml --dcc FILE, where "
-        "[job] "
-        "adjustment says what was written.\n",
+        "[job] adjustment says what was written.\n",
         report.as_left_run.string(), report.found.source);
   text += fmt::format("State: {}", to_string(report.state));
   if (report.state == AdjustmentState::kVerified)

@@ -39,14 +39,14 @@ RequirementSection the_method() {
           {"joint estimator: an independent prototype; whole system solved at once; coverage over 200 and "
            "2000 runs",
            "Wrong result, or an uncertainty that is too small, in the reported estimator.",
-           {"analyse_joint", "solve_effects", "fit_tray"},
+           {"analyse_joint", "solve_effects", "fit_measurement"},
            {"AgainstPrototype.SameEstimatesAndUncertainties",
             "TrayTest.IsTheLeastSquaresSolutionByItsDefinition",
             "JointStudyTest.CoverageOfTwoHundredRunsIsNominalWithinItsScatter",
             "JointStudyTest.TwoThousandRunsCoverTheTruthAsOftenAsTheySay"}},
           {"norm estimator: truth; a reference fit of real data",
            "The check by another method confirms a wrong result, or contradicts a right one.",
-           {"analyse_norm", "import_poses"},
+           {"analyse_norm", "import_table"},
            {"NormFitTest.UncertaintiesCoverTheTruthWithAndWithoutUncertaintiesOfTheReadings",
             "NormFitTest.RealAccelerometerAgreesWithTheReferenceFit"}},
           {"local gravity: 24 listed values, all digits",
@@ -169,8 +169,8 @@ RequirementSection equipment() {
             "AccelerometerContract.GivesReadingsInOrderWithoutGapsAtItsRate",
             "DriverFaults.EveryCallEndsInTimeWithTheRightAnswerOrTheRightFault",
             "WatlowChamberTest.FaultsOfTheWireAtEveryWrite", "WeissChamberTest.FaultsOfTheWireAtEveryWrite"}},
-          {"an instrument that fails at any call of a run: the stage is halted, the reason is in the "
-           "event log, and the resumed run gives the same bits",
+          {"an instrument that fails at any call of a run: the stage is halted, the reason is in the event "
+           "log, and the resumed run gives the same bits",
            "The stage goes on turning, or a run is lost, when an instrument fails.",
            {"run_experiments", "halt_stage"},
            {"FaultAtEveryCallTest.HaltsTheStageSaysWhyAndTheRunGoesOnToTheSameBits",
@@ -199,8 +199,8 @@ RequirementSection equipment() {
            {"EmulatedBenchTest.CtrlCTermAndALostTerminalHaltTheStageExitWith130AndTheRunGoesOn",
             "ExperimentRunTest.ASilentAccelerometerEndsTheRun",
             "ExperimentRunTest.SaysSoWhenTheStageDoesNotAcknowledgeTheHalt"}},
-          {"what a bench file takes from a calibration record is that record's, valid on the day, and "
-           "frozen into the run",
+          {"what a bench file takes from a calibration record is that record's, valid on the day, and frozen "
+           "into the run",
            "An expired or wrong calibration enters the uncertainty.",
            {"register_records"},
            {"RecordCommands.WhatARecordSaysIsShownUsedAndFrozenIntoTheRun",
@@ -254,8 +254,7 @@ RequirementSection technical_records_and_control_of_data() {
             "VerifyTest.AChangedEventBreaksTheChainEvenInARunThatIsOpen",
             "VerifyTest.AChangedAnalysisIsFound"}},
           {"a forgery by someone with write access to every file, but without the key of the witness, is "
-           "refused "
-           "by verify and issue; the witness signs nothing afterwards",
+           "refused by verify and issue; the witness signs nothing afterwards",
            "Someone who may write every file makes another result pass for the measured one.",
            {"check_witness", "judge_run", "RunWitness::begin", "WitnessLog::answer", "require_unchanged"},
            {"ForgeryTest.ARunWhoseAnglesWereWitnessedIsVerifiedAndCertified",
@@ -272,8 +271,7 @@ RequirementSection technical_records_and_control_of_data() {
             "EditedWhileInterruptedTest.ARebuiltChainContradictsTheWitness",
             "WitnessLogTest.ARunGoesOnBehindAnglesThatWereNotSignedAndItsBeginningsShowThem"}},
           {"a forgery by someone with write access to every file is found where the run was signed by "
-           "version 1.0, or "
-           "is stamped",
+           "version 1.0, or is stamped",
            "Someone who may write every file makes another result pass for the measured one.",
            {"attest", "check_time_stamp", "stamp_if_configured"},
            {"SealTest.WhatWasForgedByHandIsSelfConsistentButNotSigned",
@@ -331,6 +329,13 @@ RequirementSection reporting() {
            {"smallest_uncertainty", "stated_result"},
            {"MakeCertificateTest.NoUncertaintyIsBelowTheScope",
             "MakeCertificateTest.NoUncertaintyIsBelowTheScopeInWhateverUnit"}},
+          {"every number of a certificate follows from one state: outputs, one covariance, the stated "
+           "mounting",
+           "Two numbers of one certificate contradict each other; a sound item fails by its mounting.",
+           {"stated_result", "raised_covariance", "add_state"},
+           {"StatementsTest.AThousandRandomCertificatesSayEverythingOnce",
+            "DerivedTest.WhatDependsOnTheMountingIsAboutTheStatedOne",
+            "RaisedCovarianceTest.EveryCombinationReachesItsVarianceAndLittleIsInExcess"}},
           {"a certificate is of one language throughout",
            "The customer does not understand a reservation or a reason.",
            {"missing_in_language", "Message::rendered"},
@@ -339,7 +344,7 @@ RequirementSection reporting() {
            "Items are wrongly accepted or rejected.",
            {"decide_printed", "conformance_probability"},
            {"DecisionTest.AGuardBandMovesTheAcceptanceLimitsInside",
-            "DecisionTest.ConformanceProbabilityIsThatOfTheNormalDistribution"}},
+            "DecisionTest.ProbabilitiesAreThoseOfStudentsDistribution"}},
           {"traceability is claimed only where every chain holds; every reason against it is listed",
            "A certificate claims traceability that it does not have.",
            {"against_traceability", "serial_number_without_equipment"},

@@ -137,11 +137,10 @@ void check_schemas(Report& report) {
            .check(parse_xml("<dcc:digitalCalibrationCertificate xmlns:dcc=\"https://ptb.de/dcc\"/>", "empty"))
            .empty();
   report.add("schemas", refuses ? Grade::kGood : Grade::kBad,
-             refuses
-                 ? fmt::format("{}: read, and an empty certificate is refused", folder.string())
-                 : fmt::format("{}: found: an empty certificate passes; required: the schemas of DCC 3.3.0: "
-                               "install abcal anew",
-                               folder.string()));
+             refuses ? fmt::format("{}: read, and an empty certificate is refused", folder.string())
+                     : fmt::format("{}: found: an empty certificate passes; required: the schemas of DCC "
+                                   "3.3.0: install abcal anew",
+                                   folder.string()));
 }
 
 void check_ports(Report& report) {
@@ -154,11 +153,10 @@ void check_ports(Report& report) {
     list.append(list.empty() ? "" : ", ").append(path);
   }
   if (!refused.empty()) {
-    report.add(
-        "ports", Grade::kBad,
-        fmt::format("{}: this user may not use them; required: the udev rules of abcal, or membership in "
-                    "the group of the device",
-                    refused));
+    report.add("ports", Grade::kBad,
+               fmt::format("{}: this user may not use them; required: the udev rules of abcal, or membership "
+                           "in the group of the device",
+                           refused));
   } else {
     report.add("ports", Grade::kGood, usable.empty() ? "no instrument is connected" : usable);
   }
@@ -208,7 +206,7 @@ void check_installation(Report& report, Clock::UtcTime now) {
                          LIBXML_DOTTED_VERSION));
   for (const auto& [name, needed_by] :
        {std::pair{"abcal-guard", "a stage that must halt if abcal dies needs"},
-        {"abcal-pdf", "a PDF is finished by"},
+        {"abcal-pdf", "a PDF is written by"},
         {"abcal-sign", "XML signatures need"},
         {"abcal-hdf5", "HDF5 needs"},
         {"abcal-transfer", "messages and time stamps need"},
@@ -265,11 +263,10 @@ void check_tables(Report& report) {
     report.attempt(table.name, [&] {
       const StudyResult set = run_simulation_set(table.set, {});
       const double largest = largest_difference(set.cases.at(table.place).error.value(), table.printed);
-      report.add(
-          table.name, largest <= 1.001 ? Grade::kGood : Grade::kBad,
-          fmt::format("forward model and analysis differ from the printed numbers by at most {:.2f} of half "
-                      "of the last digit",
-                      largest));
+      report.add(table.name, largest <= 1.001 ? Grade::kGood : Grade::kBad,
+                 fmt::format("forward model and analysis differ from the printed numbers by at most {:.2f} "
+                             "of half of the last digit",
+                             largest));
     });
   }
 }

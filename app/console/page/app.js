@@ -1,5 +1,5 @@
 import {byId, element} from '/text.js';
-import {said, translated} from '/said.js';
+import {know, said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
 import {offerBenches, showBenches} from '/benches.js';
 import {withoutMissing} from '/items.js';
@@ -35,6 +35,7 @@ function showSoon() {
 }
 
 function receive(message) {
+  know(message);
   if (message.type === 'you') {
     me = message.number;
     maySteer = message.may_steer;
@@ -156,6 +157,7 @@ async function ask(name, request, {moves = true} = {}) {
   say(t('sent'));
   const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
   const reply = await send(request);
+  know(reply);
   clearTimeout(late);
   if (reply.ok) say(DONE_WHEN_ANSWERED.has(request.do) ? t('done') : t('accepted'));
   else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);

@@ -73,7 +73,7 @@ async function ask(told, words, path, body) {
 }
 
 function tellIssued(told, issued, changed) {
-  told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')),
+  told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ...issued.warnings.flatMap((warning) => [' ', said(warning)]),
     ...(issued.changed?.length ? [element('p', {}, TEXT.changed), element('ul', {}, ...issued.changed.map((one) => element('li', {}, one)))] : []));
   changed();
 }

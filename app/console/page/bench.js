@@ -47,8 +47,8 @@ export class BenchView {
     for (const button of this.buttons) button.disabled = !may || !idle;
   }
 
-  showLevelling({file, words}) {
-    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {}, said(line)))),
+  showLevelling({file, lines}) {
+    this.levelling.replaceChildren(element('ul', {}, ...lines.map((line) => element('li', {}, said(line)))),
       element('p', {}, t`Stored in ${file}. In the bench file this gives it to the joint estimator: `, element('code', {}, '[stage]'), ' ', element('code', {}, `level_file = "${file}"`)));
   }
 

@@ -1,6 +1,6 @@
 // The benches of this computer as tiles, which steer nothing, and links to the consoles of other computers.
 import {byId, duration, element, DASH} from '/text.js';
-import {said} from '/said.js';
+import {said, term} from '/said.js';
 import {fetched} from '/fetched.js';
 import {rolesIn, t} from '/language.js';
 
@@ -38,6 +38,6 @@ function tile({bench, folder, state, activity, phase, item, file, simulated, pro
     element('p', {}, t('Item'), ': ', item || DASH),
     ...(isOn ? [element('p', {}, t`${progress.measured} of ${progress.total}`, ', ', t('Time left'), ': ', Number.isFinite(progress.left_s) ? t`about ${duration(progress.left_s)}` : DASH),
       element('progress', {max: 1, value: progress.measured / progress.total, 'aria-label': t('Angles measured')})] : []),
-    ...(ended && !isOn ? [element('p', {}, file, ': ', ended.complete ? said(ended.verdict) : t('interrupted'))] : []),
+    ...(ended && !isOn ? [element('p', {}, file, ': ', ended.complete ? term(ended.verdict) : t('interrupted'))] : []),
     element('p', {class: 'small-print'}, folder));
 }

@@ -17,7 +17,7 @@ export function liveItem(item, of) {
   const means = element('table', {}, element('caption', {}, t`Last mean (${item.unit})`),
     element('tbody', {}, ...OUTPUTS.map((name, j) => element('tr', {}, element('th', {scope: 'row'}, name), element('td', {class: 'number', 'data-heading': `${name} (${item.unit})`}, item.mean ? signed(item.mean[j], 6) : DASH)))));
   const temperature = item.temperature_degc === null ? [] : [element('p', {}, t`Temperature ${number(item.temperature_degc, 2, '°C')}`)];
-  return itemCard(item, of, means, ...temperature, ...(item.flags ? [element('p', {class: 'grade-warning'}, said(item.flags))] : []));
+  return itemCard(item, of, means, ...temperature, ...(item.flags ? [element('p', {class: 'grade-warning'}, item.flags)] : []));
 }
 
 // The choice before a run of several items begins or resumes: whether missing items are left out. id: that of the check box.

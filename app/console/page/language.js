@@ -27,10 +27,6 @@ export function t(text, ...values) {
 // English texts of the program, with their constant parts in the language of the page.
 export const rolesIn = (list) => list.split(', ').map((role) => t(role)).join(', ');
 export const operatorIn = (words) => (words ?? '').replace(/\(stated, not verified\)$/, (stated) => t(stated));
-export const angleIn = (words) => words
-  .replace(/^experiment (\d), face 2, (\S+) degrees/, (_, experiment, angle) => t`experiment ${experiment}, face 2, ${angle} degrees`)
-  .replace(/^experiment (\d), (\S+) degrees/, (_, experiment, angle) => t`experiment ${experiment}, ${angle} degrees`)
-  .replace(/^check pose (\d+)/, (_, n) => t`check pose ${n}`).replace(' (closing angle)', (closing) => t(closing));
 
 // Translates the initial contents of the page.
 export function translate(root = document.body) {

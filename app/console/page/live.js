@@ -1,13 +1,13 @@
 // The live view: shows the data of the messages, and nothing that the server has not stated.
 import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
-import {said} from '/said.js';
+import {said, term, translated} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
 import {liveItem} from '/items.js';
 import {Chart, OUTPUTS, outputSeries, place, quarters} from '/plots.js';
 import {plottedAngle, residualChart, showResiduals} from '/residuals.js';
 import {PagedTable} from '/pages.js';
 import {limitWords, phaseWords} from '/state.js';
-import {angleIn, operatorIn, rolesIn, t} from '/language.js';
+import {operatorIn, rolesIn, t} from '/language.js';
 import {Strip} from '/strip.js';
 import {timeElement} from '/time.js';
 
@@ -19,7 +19,7 @@ const finite = (value) => (Number.isFinite(value) ? value : null);
 // The readings of each item at an angle; with a single item, the dwell.
 const readingsOf = ({dwell, items}) => (items.length ? items : [{k: 1, ...dwell}]);
 // How a run ended, with the verdict or the cause in words.
-const endOf = (event) => event && {...event, words: !event.complete ? event.reason : event.verdict ? `${event.verdict}: ${event.reason}` : ''};
+const endOf = (event) => event && {...event, words: event.outcome.words};
 
 export class LiveView {
   constructor() {
@@ -170,7 +170,7 @@ export class LiveView {
   // Stores a measured angle: the dwell of its first item, and the last mean of each item.
   knowDwell(done) {
     const {position, dwell} = done, readings = readingsOf(done);
-    const words = (flags) => this.about.flags.filter((_, bit) => flags & (1 << bit)).join(', ');
+    const words = (flags) => this.about.flags.filter((_, bit) => flags & (1 << bit)).map(term).join(', ');
     this.lastDwell = {...dwell, position, item: readings[0].k, mean: dwell.mean.map(finite), u_mean: dwell.u_mean?.map(finite), flags: words(dwell.flags)};
     this.dwells.set(position, this.lastDwell);
     for (const {k, mean, flags, temperature_degc} of readings)
@@ -214,7 +214,7 @@ export class LiveView {
     if (!run) return;
     byId('acknowledge').hidden = Boolean(run.acknowledged_by);
     byId('acknowledged').replaceChildren(...(run.acknowledged_by ? [t('Acknowledged by '), run.acknowledged_by, ', ', timeElement(run.acknowledged_utc, 'clock')] : [t('Nobody has acknowledged it yet.')]));
-    const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
+    const at = run.angle ? t` at ${translated(run.angle) ?? run.angle}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
       ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
   }
@@ -244,7 +244,7 @@ export class LiveView {
     if (this.contact === false) return;  // It is unknown whether the run continues.
     const elapsed = (performance.now() - this.leftSince) / 1000;
     this.leftSince = performance.now();
-    const phase = this.phase?.phase ?? '', port = phase.startsWith('waiting for a port');
+    const phase = this.phase?.phase ?? '', port = phase === 'waiting for a port to come back';
     if (this.activity?.activity !== 'running' || this.left === undefined || this.left === null || !this.progress.total) {
       byId('left').textContent = DASH;
     } else if (phase === 'held' || port) {

@@ -38,6 +38,6 @@ export class Notifier {
     if (message.type !== 'phase' || message.phase === this.phase) return;
     this.phase = message.phase;
     if (message.phase === 'held') say(TEXT.held);
-    if (message.phase.startsWith('waiting for a port')) say(TEXT.port);
+    if (message.phase === 'waiting for a port to come back') say(TEXT.port);
   }
 }

@@ -1,6 +1,6 @@
 // The angles of a run: residuals with bars of ±2 u, by angle and by time, and the way from a flagged angle to its single readings.
 import {element, number, scrollable, signed, small, table, DASH} from '/text.js';
-import {said} from '/said.js';
+import {said, term} from '/said.js';
 import {fetched} from '/fetched.js';
 import {PagedTable} from '/pages.js';
 import {Replay} from '/replay.js';
@@ -54,7 +54,7 @@ function entriesOf(angles, fits) {
   const fitOf = new Map(fits.map((fit) => [`${fit.experiment} ${fit.accelerometer}`, fit]));
   return angles.position.map((position, i) => {
     const entry = {position, experiment: angles.experiment[i], face: angles.face[i], alpha_deg: angles.alpha_deg[i], closing: angles.closing[i], time_s: angles.time_s[i], readings: angles.readings[i],
-      temperature: angles.temperature_degc[i], x_deg: angles.encoder_x_deg[i], z_deg: angles.encoder_z_deg[i], rate: angles.rate_deg_per_s[i], flags: angles.flag_words.filter((_, bit) => angles.flags[i] & (1 << bit)),
+      temperature: angles.temperature_degc[i], x_deg: angles.encoder_x_deg[i], z_deg: angles.encoder_z_deg[i], rate: angles.rate_deg_per_s[i], flags: angles.flag_words.filter((_, bit) => angles.flags[i] & (1 << bit)).map(term),
       mean: angles.mean.map((column) => column[i]), u: angles.u_mean[0][i] === null ? null : angles.u_mean.map((column) => column[i]), residual: null};
     entry.x = plottedAngle(entry);
     entry.flagged = entry.flags.length > 0;
@@ -99,7 +99,7 @@ export class Residuals {
     if (this.entries.some((e) => Number.isFinite(e.time_s))) this.element.insertBefore(new Replay(this).element, this.holder);
     const cells = (e) => [nameOf(e), Number.isFinite(e.rate) ? number(e.rate, 2).replace('-', '−') : DASH, Number.isFinite(e.time_s) ? number(e.time_s / 60, 2) : DASH,
       ...OUTPUTS.flatMap((_, j) => [e.residual?.[j] === null || !e.residual ? DASH : withDigits(e.residual[j], e.u?.[j]), e.residual && e.u ? signed(e.residual[j] / e.u[j], 1) : DASH]),
-      e.u ? small(Math.max(...e.u)) : DASH, number(e.temperature, 2), e.flags.length ? said(e.flags.join(', ')) : TEXT.none];
+      e.u ? small(Math.max(...e.u)) : DASH, number(e.temperature, 2), e.flags.length ? e.flags.join(', ') : TEXT.none];
     new PagedTable(this.rows, {caption: () => t`Residuals in ${this.unit}, and z: residual over standard uncertainty (1)`,
       head: () => [t('Angle'), t('Rate (degrees/s)'), t('Time (min)'), ...OUTPUTS.flatMap((name) => [`${name} (${this.unit})`, `z ${name} (1)`]), t`Largest std. uncertainty (${this.unit})`, t('Temperature (°C)'), t('Flags')],
       rows: (from, to) => this.entries.slice(from, to).map(cells)}).show(this.entries.length);
@@ -174,7 +174,7 @@ export class Residuals {
     if (!flagged.length) return this.flagged.replaceChildren(element('p', {tabindex: -1}, TEXT.noFlag));
     this.flagged.replaceChildren(element('h4', {}, TEXT.flagged));
     const button = (e) => {
-      const made = element('button', {type: 'button', class: 'flagged-angle'}, nameOf(e), ': ', said(e.flags.join(', ')));
+      const made = element('button', {type: 'button', class: 'flagged-angle'}, nameOf(e), ': ', e.flags.join(', '));
       made.addEventListener('click', () => this.showReadings(e));
       return made;
     };
@@ -197,7 +197,7 @@ export class Residuals {
     const holder = place('wide'), close = element('button', {type: 'button'}, TEXT.close);
     close.addEventListener('click', () => { holder.chart.destroy(); this.single.replaceChildren(); });
     const rows = scrollable('scroll', TEXT.readings, '');
-    this.single.replaceChildren(element('h4', {}, t`Readings: ${nameOf(entry)}`), element('p', {}, t`${data.readings} readings; flags: `, entry.flags.length ? said(entry.flags.join(', ')) : TEXT.none, '. ', close), holder,
+    this.single.replaceChildren(element('h4', {}, t`Readings: ${nameOf(entry)}`), element('p', {}, t`${data.readings} readings; flags: `, entry.flags.length ? entry.flags.join(', ') : TEXT.none, '. ', close), holder,
       element('details', {}, element('summary', {}, TEXT.asTable), rows));
     const from = data.time_s[0] ?? 0;
     drawThinned(holder, t`Readings of ${nameOf(entry)}; the table below has the numbers`, t('time since the first of them (s)'), data, data.time_s.map((s) => s - from), entry.mean);

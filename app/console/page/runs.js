@@ -1,6 +1,6 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
 import {byId, decimals, duration, element, number, scrollable, signed, small, table, DASH} from '/text.js';
-import {said} from '/said.js';
+import {said, term} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {fetched} from '/fetched.js';
 import {PagedTable} from '/pages.js';
@@ -229,7 +229,7 @@ export async function showRun(name, item, part, {again = false} = {}) {
   if (joint && joint.step_error) detail.append(stepErrors(joint));
   detail.append(certificateCard(run, run.items.length > 1 ? data.item : 0, () => showRun(name, item, '')));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
-    data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
+    data.events.map((e) => [day(e.utc), term(e.kind), said(e.text)])))));
   if (!again) byId('main').focus();
 }
 
@@ -252,8 +252,8 @@ function checks(result, meanings) {
   const HEAD = [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')];
   const failed = all.filter((c) => !c.passed), passed = all.filter((c) => c.passed);
   const tableOf = (caption, list) => scrollable('stack scroll-x', caption, table(caption, HEAD,
-    list.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
-      element('span', {}, said(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
+    list.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), term(c.unit),
+      element('span', {}, term(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
   const words = failed.length ? t`${failed.length} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`;
   return element('div', {id: 'result-checks'}, ...(failed.length ? [tableOf(words, failed)] : [element('p', {}, words)]),
     element('details', {id: 'passed-checks'}, element('summary', {}, t`Checks that passed: ${passed.length}`), tableOf(t('Checks that passed'), passed)));
@@ -266,7 +266,7 @@ function stageRecord(record) {
   const made = scrollable('stack scroll-x', t('Record of the stage'), table(
     t`${record.stage}: learned ${record.learned_utc.slice(0, 10)} from ${record.runs} runs; ${record.age_months.toFixed(1)} months old, good for ${record.validity_months.toFixed(1)}.`,
     [t('Part of the stage'), t('Outcome'), t('Times what the record expects'), t('Probability')],
-    record.tests.map((one) => [said(one.part), outcome(one.passed), figure(one.times_expected, (x) => x.toFixed(2)), figure(one.probability, (p) => p.toPrecision(2))])));
+    record.tests.map((one) => [term(one.part), outcome(one.passed), figure(one.times_expected, (x) => x.toFixed(2)), figure(one.probability, (p) => p.toPrecision(2))])));
   made.id = 'result-stage-record';
   return made;
 }
@@ -274,7 +274,7 @@ function stageRecord(record) {
 function flagged(result, meanings) {
   const {flags, angles_used: used} = result.diagnostics;
   const made = scrollable('stack scroll-x', t('Flagged angles'), table(t`Of ${used} angles used; an angle may have several flags.`,
-    [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [said(f.flag), f.dwells, said(meanings[f.flag])])));
+    [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [term(f.flag), f.dwells, term(meanings[f.flag])])));
   made.id = 'result-flags';
   return made;
 }
@@ -439,7 +439,7 @@ async function compare(a, b) {
   } catch (error) {
     return say('compare-table', error);
   }
-  const [pair] = data.pairs;
+  const [pair] = data.pairs, named = (name, {estimator}) => (estimator ? `${name} (${ESTIMATORS[estimator]})` : name);
   const row = (name) => {
     const first = data.results[0].properties[name], second = data.results[1].properties[name], both = pair.properties[name];
     return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
@@ -454,7 +454,7 @@ async function compare(a, b) {
   byId('compare-table').replaceChildren(
     element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), said(pair.why)),
     element('h3', {}, t('E_n: a bar that does not reach zero is a difference larger than its U')), holder,
-    scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+    scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting; E_n with U = 2 u. A: ${named(a, data.results[0])}. B: ${named(b, data.results[1])}.`,
       [t('Property'), t('Unit'), 'A', t('std. unc. of A'), 'B', t('std. unc. of B'), t('B minus A'), t('std. unc. of it'), 'E_n (1)'], PROPERTIES.map(row))),
     element('ul', {}, ...data.notes.map((note) => element('li', {}, said(note)))));
 }

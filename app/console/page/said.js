@@ -1,67 +1,64 @@
-// Translates English texts of the program into the language of the page, by the tables of the certificates and of the console
-// with "{name}" or "{}" for a value. A text without an entry stays English, and is marked as such.
+// Texts of the program in the language of the page. With each text the console sends its sentence and its values (docs/console_programs.md,
+// `messages`); a text without them, e.g. one that a person wrote, stays as it is, and is marked as English.
 import {language} from '/language.js';
 
-const table = language === 'de' ? {...await (await fetch('/certificate_de.json')).json(), ...(await import('/program_de.js')).default} : {};
-const place = /\{\w*\}/g;
-const templates = Object.entries(table).filter(([english]) => english.includes('{') && /[a-z]{2}/i.test(english.replace(place, '')))
-  .map(([english, said]) => ({pattern: new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, '\\$&').replace(place, '(.+?)')}$`), said, names: english.match(place), isShort: english.startsWith('{') && english.replace(place, '').replace(/[^a-z]/gi, '').length < 10}))
-  .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The longest pattern first.
-const known = new Map();
+const table = language === 'en' ? {} : await (await fetch(`/certificate_${language}.json`)).json();
+const place = /(\{\w+\})/;
+const MOST = 5000;  // Messages that are kept.
+const messages = new Map();  // By their English texts.
 
-// Translates a value: a number, a name, or one or more sentences; null: an English text without an entry.
-function valueSaid(value) {
-  const whole = translated(value);
-  if (whole !== null || !value.includes('; ')) return whole ?? (/[a-z]{3,} [a-z]{3,}/.test(value) ? null : value);
-  const parts = value.split('; ').map(valueSaid);
-  return parts.includes(null) ? null : parts.join('; ');
-}
-
-function byTemplate(words) {
-  for (const {pattern, said, names, isShort} of templates) {
-    const found = pattern.exec(words)?.slice(1);
-    // "{effect} of {output}" is in many sentences that it did not make.
-    if (!found || (isShort && found.some((value) => value.includes(' ') && !(value in table)))) continue;
-    const values = found.map(valueSaid);
-    if (values.includes(null)) continue;
-    let i = 0;
-    return said.replace(place, (name) => (name === '{}' ? values[i++] : values[names.indexOf(name)]));
+// Takes note of all messages of an answer of the console.
+export function know(answer) {
+  if (language === 'en' || answer === null || typeof answer !== 'object') return;
+  if (typeof answer.id === 'string' && typeof answer.text === 'string') {
+    messages.set(answer.text, answer);
+    if (messages.size > MOST) messages.delete(messages.keys().next().value);
+    return;
   }
-  return null;
+  for (const part of Object.values(answer)) know(part);
 }
 
-// The translation of a text; null: there is none.
+// The parts of a value of a message: a text that is the same in every language, a number, a message, several.
+function partsOfValue(value) {
+  if (typeof value === 'string') return [value];
+  if (value.number !== undefined) return [value.number];
+  if (!value.messages) return partsOf(value);
+  return value.messages.flatMap((each, i) => (i ? [value.separator] : []).concat(partsOf(each)));
+}
+
+// The parts of a message in the language of the page; {english}: one without a translation.
+function partsOf({text, id, values = {}}) {
+  const sentence = table[id] ?? (id !== undefined && !/[a-z]/i.test(id.split(place).filter((_, i) => i % 2 === 0).join('')) ? id : undefined);
+  if (sentence === undefined) return [{english: text}];
+  return sentence.split(place).flatMap((part, i) => (i % 2 ? partsOfValue(values[part.slice(1, -1)] ?? part) : part ? [part] : []));
+}
+
+const known = (words) => (messages.has(words) ? partsOf(messages.get(words)) : [{english: words}]);  // On an English page none is kept.
+
+// The translation of a text; null: no part of it has one.
 export function translated(words) {
-  if (!known.has(words)) {
-    known.set(words, null);  // Also during the search, which is recursive.
-    let said = table[words] ?? byTemplate(words);
-    if (said === null && words.includes('; ')) {
-      const parts = words.split('; ').map(translated);
-      if (!parts.includes(null)) said = parts.join('; ');
-    }
-    if (known.size > 2000) known.clear();
-    known.set(words, said);
-  }
-  return known.get(words);
+  const parts = known(words);
+  return parts.every((part) => part.english !== undefined) ? null : parts.map((part) => part.english ?? part).join('');
 }
 
-// An element with a text. Each of several joined sentences is translated if possible, else English.
+// A word of a vocabulary of the program: a kind of event, a flag, a check.
+export const term = (word) => table[word] ?? word;
+
+// An element with a text; what has no translation is marked as English in it.
 export function said(words, {capital = false} = {}) {
-  const written = (text) => (capital && text ? text[0].toUpperCase() + text.slice(1) : text);
-  const holder = document.createElement('span'), all = language === 'en' ? null : translated(words);
-  if (all !== null) {
-    holder.append(written(all));
+  const holder = document.createElement('span'), parts = known(words);
+  const written = (text, i) => (capital && i === 0 && text ? text[0].toUpperCase() + text.slice(1) : text);
+  if (parts.length === 1 && parts[0].english !== undefined) {
+    holder.lang = 'en';
+    holder.append(written(parts[0].english, 0));
     return holder;
   }
-  // "instrument: fault: detail; what to do": the parts have even indices, the separators odd ones.
-  const parts = language === 'en' ? [words] : words.split(/(; |: )/);
-  const inEnglish = (text) => { const part = document.createElement('span'); part.lang = 'en'; part.append(text); return part; };
-  const mixed = parts.map((part, i) => (i % 2 ? part : translated(part)));
-  if (mixed.every((part, i) => i % 2 || part === null)) {
-    holder.lang = 'en';
-    holder.append(written(words));
-  } else {
-    parts.forEach((part, i) => holder.append(mixed[i] ?? (valueSaid(part) === part ? part : inEnglish(i ? part : written(part)))));
-  }
+  holder.append(...parts.map((part, i) => {
+    if (part.english === undefined) return written(part, i);
+    const inEnglish = document.createElement('span');
+    inEnglish.lang = 'en';
+    inEnglish.append(written(part.english, i));
+    return inEnglish;
+  }));
   return holder;
 }

@@ -67,5 +67,5 @@ function runningState(activity, phase) {
   const [word, icon, sentence] = PHASES[phase.phase], limit = limitWords(phase);
   const todo = {held: t('Continue or stop when you are ready.'), 'waiting for a port to come back': t('Plug it in again; the run goes on by itself.')}[phase.phase] ?? '';
   return bannerState(word, KINDS[phase.phase] ?? 'busy', icon, sentence + asked,
-    {todo, limit: limit && t`Limit: ${limit}.`, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});
+    {todo, limit: limit && t`Limit: ${limit}.`, fault: phase.phase === 'waiting for a port to come back' ? phase.words ?? '' : ''});
 }

@@ -13,6 +13,7 @@ const words = {
   t: (text, ...values) => (typeof text === 'string' ? text : String.raw({raw: text}, ...values)),
   said: (english) => english,
   translated: () => null,
+  know: () => {},
   clock: (moment) => `${new Date(moment).toISOString().slice(11, 19)} UTC`,
 };
 const t = (...text) => words.t(...text);
@@ -143,11 +144,12 @@ export function tell(request) {
 // ---- The state of the bench, as far as Stop and a plain banner need it.
 
 let activity = null, bench = {state: 'on'}, fault = null;
-// State of the axes by the guard of the stage, which answers also while the process that holds the bench does not.
-let guarded = {x: {state: 'not moved'}, z: {state: 'not moved'}};
+// State of the axes by the guard of the stage, which answers also while the process that holds the bench does not, or by its log
+// where no guard answers. Nobody has said anything yet: nothing is known.
+let guarded = {x: {state: 'unknown'}, z: {state: 'unknown'}};
 export const axes = () => guarded;
-const RESTLESS = ['may be moving', 'unreachable'];
-export const areAtRest = ({x, z}) => !RESTLESS.includes(x.state) && !RESTLESS.includes(z.state);
+const AT_REST = ['at rest', 'not moved'];
+export const areAtRest = ({x, z}) => AT_REST.includes(x.state) && AT_REST.includes(z.state);
 
 function note(message) {
   const before = activity?.activity;
@@ -193,6 +195,7 @@ function axesInWords({x, z}) {
     const at = since ? `${since.slice(11, 19)} UTC` : '';
     if (state === 'unreachable') return t`Axis ${name} is unreachable since ${at} and may be moving.`;
     if (state === 'may be moving') return t`Axis ${name} may be moving.`;
+    if (state === 'unknown') return at ? t`Axis ${name} may be moving: it was commanded to at ${at}, and nobody is left who would see it come to rest.` : t`Nothing is known of axis ${name} yet.`;
     return at ? t`Axis ${name} is at rest, confirmed at ${at}.` : t`Axis ${name} was not moved.`;
   };
   return `${one('X', x)} ${one('Z', z)}`;
@@ -212,6 +215,7 @@ export function plainState(view) {
   if (what === 'jogging') return bannerState(t('Moving'), 'busy', 'moving', t('The stage is jogged'));
   if (what === 'analysing') return bannerState(t('Analysing'), 'busy', 'reading', t('All angles are measured; the run is being analysed'));
   if (what !== 'idle') return bannerState(t('Running'), 'busy', 'moving', t('A run is in progress; the stage may move'));
+  if ([view.axes.x, view.axes.z].some(({state}) => state === 'unknown')) return bannerState(t('Not known'), 'fault', 'lost', moving, {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
   if (moving) return bannerState(t('Not at rest'), 'fault', 'moving', moving, {todo: t('The guard halts it until that is confirmed. Use the switch on the stage if it still moves.')});
   if (view.fault) return bannerState(t('Faulted'), 'fault', 'fault', '', {english: view.fault.words, fault: view.fault.instrument});
   return bannerState(t('Idle'), 'idle', 'idle', t('No run is in progress.'));
@@ -296,6 +300,7 @@ async function stop() {
   sayOfHalt(() => [t('Stop: sent')]);
   stopping = setTimeout(() => sayOfHalt(() => [t`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH()}`]), UNCONFIRMED_AFTER_MS);
   const reply = await ask({do: 'stop'});
+  words.know(reply);
   if (reply.ok) return;
   clearTimeout(stopping);
   sayOfHalt(() => [reply.unsent ? t`Stop: not sent, ${reply.why}: ${USE_THE_SWITCH()}` : reply.lost ? t`Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH()}` : t`Stop: refused: ${words.translated(reply.why) ?? reply.why}`]);
@@ -344,5 +349,5 @@ function speak(better) {
 }
 const without = () => {};  // Such a failure is reported by the modules that need the file.
 import('/language.js').then(({t: inLanguage, translate}) => { translate(byId('top')); speak({t: inLanguage}); }, without);
-import('/said.js').then(({said, translated}) => speak({said, translated}), without);
+import('/said.js').then(({know, said, translated}) => speak({know, said, translated}), without);
 import('/time.js').then(({timeElement}) => speak({clock: (moment) => timeElement(moment, 'clock')}), without);

@@ -5,11 +5,13 @@
 #include <algorithm>
 #include <array>
 #include <map>
+#include <set>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
 
 #include "app/formats/xml_query.h"
+#include "app/laboratory/certificate/dcc_state.h"
 #include "drivers/text/names.h"
 
 namespace abcal {
@@ -111,6 +113,12 @@ class Reader {
       if (name.find(part) == std::string::npos) name += (name.empty() ? "" : ", ") + part;
     if (!last.empty()) name += (name.empty() ? "" : ", ") + last;
     statements_.push_back({key, std::move(name), std::move(text), is_administrative(key), in_language});
+    if (key.find("/results/") == std::string::npos) return;
+    // "g_loc*s_ux[|g]" is s_ux; the state repeats all of them for programs.
+    const std::string of = last.substr(0, last.find('['));
+    statements_.back().quantity = key.find(kStateType) != std::string::npos ? "covariance"
+                                  : of.starts_with("g_loc*")                ? of.substr(6)
+                                                                            : of;
   }
 
   void read_children(xmlNode* node, const std::string& key, const Names& names) {
@@ -235,19 +243,24 @@ std::vector<ChangedStatement> changed_statements(const std::string& replaced_xml
   for (const CertificateStatement& one : before)
     if (counts(one)) earlier[one.key] = &one;
   std::vector<ChangedStatement> changed;
+  std::set<std::string> said;
+  const auto add = [&](const CertificateStatement& one, const std::string& text_before,
+                       const std::string& text_after) {
+    if (one.quantity.empty() || said.insert(one.quantity).second)
+      changed.push_back({one.name, text_before, text_after, one.administrative});
+  };
   for (const CertificateStatement& one : after) {
     if (!counts(one)) continue;
     const auto found = earlier.find(one.key);
     if (found == earlier.end()) {
-      changed.push_back({one.name, {}, one.text, one.administrative});
+      add(one, {}, one.text);
       continue;
     }
-    if (found->second->text != one.text)
-      changed.push_back({one.name, found->second->text, one.text, one.administrative});
+    if (found->second->text != one.text) add(one, found->second->text, one.text);
     earlier.erase(found);
   }
   for (const CertificateStatement& one : before)
-    if (earlier.contains(one.key)) changed.push_back({one.name, one.text, {}, one.administrative});
+    if (earlier.contains(one.key)) add(one, one.text, {});
   return changed;
 }
 

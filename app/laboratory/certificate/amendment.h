@@ -20,6 +20,9 @@ struct CertificateStatement {
   std::string text;  ///< "0.10021 \volt\per...; U = 0.00012; k = 2".
   bool administrative = false;
   bool in_language = false;  ///< A text in the language of the certificate, no name and no number.
+  /// The quantity of a number of the results, which several places state in several units: "s_ux". Empty:
+  /// none.
+  std::string quantity = {};
 };
 
 /// Everything that a certificate says, in its order. What differs in every certificate (number, date of
@@ -38,7 +41,8 @@ struct ChangedStatement {
 };
 
 /// Every statement of a certificate that differs from those of the certificate that it replaces. Between
-/// languages, only what is in no language is compared.
+/// languages, only what is in no language is compared. A quantity that differs in several places, as one
+/// whose uncertainty was raised does in each of its units and in the budget, is one statement.
 std::vector<ChangedStatement> changed_statements(const std::string& replaced_xml, const std::string& xml);
 
 }  // namespace abcal

@@ -179,10 +179,9 @@ class Rules {
       const std::vector<xmlNode*> values = select_.nodes("si:valueXMLList", list);
       if (values.empty()) continue;
       const std::size_t count = xml_words(xml_content(values.front())).size();
-      for (xmlNode* other :
-           select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
-                         ".//si:covarianceXMLList/si:valueXMLList",
-                         list)) {
+      for (xmlNode* other : select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* "
+                                          "| .//si:covarianceXMLList/si:valueXMLList",
+                                          list)) {
         const std::size_t found = xml_words(xml_content(other)).size();
         if (found != count && found != 1) add(other, fmt::format("{} entries for {} values", found, count));
       }

@@ -8,9 +8,13 @@
 
 #include "app/formats/dsi_unit.h"
 #include "app/formats/typed_unit.h"
+#include "app/laboratory/certificate/certified_record.h"
 #include "app/laboratory/certificate/certified_series.h"
 #include "app/laboratory/certificate/dsi_list.h"
+#include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/traceability.h"
+#include "app/laboratory/register/records.h"
+#include "drivers/text/text.h"
 
 namespace abcal {
 namespace {
@@ -40,18 +44,39 @@ class Inspection {
       : laboratory_(laboratory), of_file_(std::move(of_file)) {}
 
   void check(const ReportData& data, const Message& which) {
-    if (!data.run) {
-      of_run_.push_back({which,
-                         {},
-                         Message("a CSV of averages"),
-                         Message("a run file: a certificate names item, operator and bench")});
-      return;
-    }
     check_state(data, which);
     check_labels(data, which);
     check_identity(data, which);
     check_conditions(data, which);
     check_equipment(data, which);
+  }
+
+  /// A certificate of several runs rests on how much the item changes between them.
+  void check_between_runs(const ReportData& data, const Message& which) {
+    if (data.record.tolerances.sources.contains("drift_between_runs")) return;
+    of_run_.push_back({which, Message("{key}", "[item_uncertainty] drift_between_runs"), Message("nothing"),
+                       Message("by how much the item changes from run to run, with its source")});
+  }
+
+  /// The customer does not supply what the instrument itself reported.
+  void check_supplied(const ReportData& data) {
+    if (!data.run) return;
+    const ItemIdentityParts identity = identity_of(data);
+    const Words words(laboratory_.language);
+    for (const std::string& supplied : laboratory_.job.customer_supplied) {
+      std::string read;
+      for (std::size_t i = 0; i < identity.size(); ++i) {
+        const auto named = [&](const std::string& name) {
+          return pieces::lower(supplied).find(pieces::lower(name)) != std::string::npos;
+        };
+        if (identity[i].known_by() == KnownBy::kRead &&
+            (named(identity[i].words) || named(words(kIdentityWords[i]).text)))
+          read += (read.empty() ? "" : ", ") + identity[i].words;
+      }
+      if (!read.empty())
+        of_file_.push_back({"[job] customer_supplied", quoted(supplied).english(),
+                            "what the laboratory did not check; read from the instrument: " + read});
+    }
   }
 
   void check_pair(const ReportData& found, const ReportData& left) {
@@ -79,7 +104,6 @@ class Inspection {
   /// reported once.
   void check_series(const std::vector<ReportData>& points, const ReportData& run, const Message& which) {
     for (const ReportData& point : points) {
-      if (!point.run) continue;
       if (point.sha256 != run.sha256) check_state(point, quoted(point.path.filename().string()));
       check_labels(point, kSeriesWords);
       check_identity(point, kSeriesWords);
@@ -126,9 +150,11 @@ class Inspection {
     }
     const bool readable = check_units_of_limits(data);
     if (!run.has_numbers() || !data.run) return;
-    run.stated =
-        stated_result(data.result(), units, laboratory_.scope, !laboratory_.laboratory.accreditation.empty(),
-                      run.monte_carlo ? &*run.monte_carlo : nullptr);
+    run.stated = stated_result(data.result(), {.units = units,
+                                               .scope = laboratory_.scope,
+                                               .accredited = !laboratory_.laboratory.accreditation.empty(),
+                                               .mounting = data.record.expected.mounting,
+                                               .monte_carlo = run.monte_carlo ? &*run.monte_carlo : nullptr});
     if (!readable) return;
     for (const SpecificationLimit& limit : laboratory_.limits) {
       const auto quantity = stated_quantity(run.stated, limit.quantity);
@@ -137,12 +163,9 @@ class Inspection {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
                             quoted(limit.unit), "one of " + offered_units(limit, data, quantity)});
       } else if (laboratory_.decision) {
-        const Decision decision =
-            decide_printed(*laboratory_.decision, *in_si, printed_in_si(*quantity, limit.quantity),
-                           coverage_factor(*quantity));
-        run.decisions.push_back(decision);
+        run.decisions.push_back(decide_printed(*laboratory_.decision, *in_si, *quantity,
+                                               printed_in_si(*quantity, limit.quantity)));
         run.decisions.back().stated = limit;
-        run.decisions.back().quantity = *quantity;
       }
     }
   }
@@ -365,7 +388,8 @@ class Inspection {
   void check_equipment(const ReportData& data, const Message& which) {
     const auto day = parse_date(data.ended_utc());
     for (const Equipment& one : laboratory_.equipment) {
-      if (day && one.due && *one.due < *day)
+      // A record of a stage must hold only where it is used: against_stage_record().
+      if (day && one.due && *one.due < *day && one.quantity != lab::kStageRecordQuantity)
         of_run_.push_back(
             {{},
              Message("line {line}, [[equipment]] {name}, due", one.line, quoted(one.name)),
@@ -401,8 +425,9 @@ std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult&
     shift.difference.unit = b->unit;
     shift.difference.value = b->value - a->value;
     shift.difference.standard_uncertainty = std::hypot(a->standard_uncertainty, b->standard_uncertainty);
+    shift.difference.degrees_of_freedom = std::min(a->degrees_of_freedom, b->degrees_of_freedom);
     shift.normalised_error =
-        shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
+        shift.difference.value / (coverage_factor(shift.difference) * shift.difference.standard_uncertainty);
     shifts.push_back(shift);
   };
   for (const char* axis : kOutputNames) add(std::string("intrinsic_sensitivity_") + axis);
@@ -411,23 +436,38 @@ std::vector<Shift> shifts_between(const StatedResult& found, const StatedResult&
   return shifts;
 }
 
-/// Even a draft needs a result with a sensitivity matrix, whose uncertainty rests on statements and readings
-/// of this run: a certificate does not state yet to what a record of the stage is traceable.
+/// Even a draft needs a run, and a result with a sensitivity matrix.
 void require_certifiable(const ReportData& data) {
-  if (data.result().stage_record)
-    throw CertificateRefused(
-        data.path.string(),
-        {{"[stage] record", "the result uses a record of the stage",
-          "a run without one: certificates of results with a record are not issued yet"}});
+  if (!data.run)
+    throw CertificateRefused(data.path.string(),
+                             {{"run", "a table of readings, and so no run that is traceable",
+                               "a run file: a certificate names item, operator and bench"}});
   if (find_estimator(data.estimator).certifiable) return;
   throw CertificateRefused(data.path.string(),
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
+}
+
+/// The run that an option names.
+void require_one_run(const char* option, const ReportData& data) {
+  require_certifiable(data);
+  if (data.is_of_several_runs())
+    throw CertificateRefused(data.path.string(), {{option, "a measurement of several runs", "one run"}});
+}
+
+/// A point over temperature.
+void require_point(const ReportData& data) {
+  require_one_run("--temperature", data);
+  if (data.result().stage_record)
+    throw CertificateRefused(data.path.string(),
+                             {{"--temperature", "a result with a record of the stage",
+                               "points without one: what all share of it is not known to their common fit"}});
 }
 
 std::vector<const ReportData*> runs_of(const CertificateRequest& request) {
   std::vector<const ReportData*> runs;
   if (request.as_found) runs.push_back(&*request.as_found);
   for (const ReportData& point : request.series) runs.push_back(&point);
+  for (const ReportData& one : request.together) runs.push_back(&one);
   runs.push_back(&request.run);
   return runs;
 }
@@ -463,7 +503,16 @@ std::vector<const ReportData*> runs_of(const Certificate& certificate) {
   if (certificate.as_found) runs.push_back(&certificate.as_found->data);
   if (certificate.series)
     for (const ReportData& point : certificate.series->points) runs.push_back(&point);
+  for (const ReportData& one : certificate.together) runs.push_back(&one);
   runs.push_back(&certificate.run.data);
+  return runs;
+}
+
+std::vector<const ReportData*> runs_of_result(const std::vector<ReportData>& together,
+                                              const ReportData& data) {
+  if (!data.is_of_several_runs()) return {&data};
+  std::vector<const ReportData*> runs;
+  for (const ReportData& run : together) runs.push_back(&run);
   return runs;
 }
 
@@ -497,8 +546,8 @@ std::string draft_number(const ReportData& run) {
 
 void add_monte_carlo(CertificateRequest& request) {
   const auto of = [](const ReportData& data) -> std::optional<CertifiedUncertainty> {
-    // A common fit of several items has no Monte Carlo; an incomplete run has no hash yet.
-    if (!data.sha256 || data.is_one_of_several()) return std::nullopt;
+    // A common fit of several items or runs has no Monte Carlo; an incomplete run has no hash yet.
+    if (!data.sha256 || data.is_one_of_several() || data.is_of_several_runs()) return std::nullopt;
     return certified_uncertainty_of(data.record, data.result(), *data.sha256);
   };
   request.monte_carlo = of(request.run);
@@ -507,8 +556,8 @@ void add_monte_carlo(CertificateRequest& request) {
 
 Certificate make_certificate(CertificateRequest request) {
   require_certifiable(request.run);
-  if (request.as_found) require_certifiable(*request.as_found);
-  for (const ReportData& point : request.series) require_certifiable(point);
+  if (request.as_found) require_one_run("--as-found", *request.as_found);
+  for (const ReportData& point : request.series) require_point(point);
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
@@ -522,8 +571,16 @@ Certificate make_certificate(CertificateRequest request) {
   Inspection inspection(certificate.laboratory, std::move(read.problems));
   const Message which = request.as_found ? Message("as-left run") : Message(kRunWords);
   inspection.check(request.run, which);
+  inspection.check_supplied(request.run);
+  for (const ReportData& one : request.together)
+    inspection.check(one, Message("run {file}", quoted(one.path.filename().string())));
+  if (request.run.is_of_several_runs()) inspection.check_between_runs(request.run, which);
+  inspection.add_of_run(against_stage_record(certificate.laboratory, request.run, runs_of(request),
+                                             runs_of_result(request.together, request.run), which));
   if (request.as_found) {
     inspection.check(*request.as_found, kAsFound);
+    inspection.add_of_run(against_stage_record(certificate.laboratory, *request.as_found, runs_of(request),
+                                               {&*request.as_found}, kAsFound));
     inspection.check_pair(*request.as_found, request.run);
   }
   if (!request.series.empty()) {
@@ -539,6 +596,7 @@ Certificate make_certificate(CertificateRequest request) {
 
   certificate.run.monte_carlo = std::move(request.monte_carlo);
   certificate.run.data = std::move(request.run);
+  certificate.together = std::move(request.together);
   inspection.derive_and_decide(certificate.run.data, certificate.run);
   if (request.as_found) {
     certificate.as_found.emplace().data = std::move(*request.as_found);

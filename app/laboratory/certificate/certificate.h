@@ -85,6 +85,7 @@ struct Certificate {
   CertifiedRun run;                      ///< The calibration; as left if `as_found` is present.
   std::vector<Shift> shifts;
   std::optional<CertifiedSeries> series;  ///< Over temperature.
+  std::vector<ReportData> together;       ///< The runs of the calibration, if it is a measurement of several.
   std::vector<RunOperator> operators;     ///< Operators according to the events of the runs.
   /// Every reason why the results are not called traceable; empty: they are.
   std::vector<Message> not_traceable;
@@ -102,7 +103,8 @@ struct CertificateRequest {
   ReadLaboratoryFile laboratory;  ///< With its problems, reported together with those of the run.
   ReportData run;
   std::optional<ReportData> as_found;
-  std::vector<ReportData> series;  ///< Points over temperature; empty: none.
+  std::vector<ReportData> series;    ///< Points over temperature; empty: none.
+  std::vector<ReportData> together;  ///< The runs of `run`, if it is a measurement of several.
   std::optional<IssueFacts> issue;
   std::optional<CertifiedUncertainty> monte_carlo;  ///< That of `run`, as add_monte_carlo() makes it.
   std::optional<CertifiedUncertainty> monte_carlo_as_found;  ///< That of `as_found`.
@@ -130,8 +132,14 @@ void add_monte_carlo(CertificateRequest& request);
 /// @throws CertificateRefused   if only the run has problems, or its estimator gives no matrix
 Certificate make_certificate(CertificateRequest request);
 
-/// Every run of a certificate: as found, points over temperature, and at the end the calibration.
+/// Every run of a certificate: as found, points over temperature, the runs of a measurement, and at the end
+/// the calibration.
 std::vector<const ReportData*> runs_of(const Certificate& certificate);
+
+/// The runs that one of its results is of: those of a measurement, or the one run.
+/// @param together  the runs of the measurement
+std::vector<const ReportData*> runs_of_result(const std::vector<ReportData>& together,
+                                              const ReportData& data);
 
 /// From the first start to the last end of runs, UTC; empty if not known.
 std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs);

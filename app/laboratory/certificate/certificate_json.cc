@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <string_view>
 
+#include "app/laboratory/certificate/dcc_state.h"
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
 #include "app/laboratory/certificate/scope.h"
@@ -61,7 +62,7 @@ void add_statements(Json& list, const PageSource& from, xmlNode* quantity) {
 
 /// Results whose numbers belong to those of others.
 bool belongs_to_others(std::string_view ref_type) {
-  return ref_type == "abc_correlations" || ref_type == "abc_budget";
+  return ref_type == kStateType || ref_type == "abc_budget";
 }
 
 }  // namespace

@@ -45,6 +45,17 @@ std::string identification(const PageSource& from, const std::string& of, Term n
                   from.say(name)));
 }
 
+/// Where the calibration was made: whose place, and its city where that is one of the two addresses.
+std::string place_of(const PageSource& from) {
+  const std::string administrative = "dcc:administrativeData/",
+                    of = from.text(administrative + "dcc:coreData/dcc:performanceLocation");
+  const std::string contact = of == "laboratory" ? administrative + "dcc:calibrationLaboratory/dcc:contact"
+                              : of == "customer" ? administrative + "dcc:customer"
+                                                 : "";
+  return joined({from.words(word_of(kPlaces, of)).text,
+                 contact.empty() ? "" : from.text(contact + "/dcc:location/dcc:city")});
+}
+
 /// Parties, item and dates: the head of the first page.
 Section head_section(const PageSource& from) {
   const std::string administrative = "dcc:administrativeData/", core = administrative + "dcc:coreData/",
@@ -69,8 +80,7 @@ Section head_section(const PageSource& from) {
   const std::string issued = from.text(core + "dcc:issueDate");
   add_fact(facts.right, from.say("Date of issue"), issued.empty() ? from.say("not issued: DRAFT") : issued);
   add_fact(facts.right, from.say("Received"), from.text(core + "dcc:receiptDate"));
-  add_fact(facts.right, from.say("Place of calibration"),
-           from.words(word_of(kPlaces, from.text(core + "dcc:performanceLocation"))).text);
+  add_fact(facts.right, from.say("Place of calibration"), place_of(from));
   add_fact(facts.right, from.say("Replaces"),
            from.text(core + "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"));
   FactList condition;
@@ -86,18 +96,24 @@ xmlNode* result_of(const PageSource& from, xmlNode* measurement, const std::stri
   return found.empty() ? nullptr : found.front();
 }
 
+/// "pass", "none possible"
+std::string verdict_words(const PageSource& from, xmlNode* facts) {
+  const std::string verdict = from.text("dcc:conformity", facts);
+  return verdict.empty() ? from.say("none possible") : from.words(word_of(kConformityWords, verdict)).text;
+}
+
 /// The decisions in one sentence; empty: there are none.
 std::string conformity_words(const PageSource& from, xmlNode* measurement) {
   xmlNode* result = result_of(from, measurement, "abc_conformity");
   if (result == nullptr) return "";
   std::map<std::string, int> verdicts;
   for (xmlNode* quantity : quantities_of(from, result))
-    ++verdicts[from.text("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']/dcc:conformity",
-                         quantity)];
+    ++verdicts[verdict_words(
+        from, from.xml.nodes("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']", quantity)
+                  .front())];
   std::string counts;
   for (const auto& [verdict, count] : verdicts)
-    counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ",
-                          from.words(word_of(kConformityWords, verdict)).text, count);
+    counts += fmt::format("{}{}: {}", counts.empty() ? "" : ", ", verdict, count);
   return from.words("Conformity with specification, number of decisions: {counts}.", counts).text;
 }
 
@@ -170,6 +186,7 @@ std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& 
   };
   const std::string low = shown(lower), high = shown(upper);
   if (!low.empty() && !high.empty()) return from.words("{from} to {to}", low, high).text + unit;
+  if (low.empty() && high.empty()) return "";
   return (low.empty() ? "≤ " + high : "≥ " + low) + unit;
 }
 
@@ -180,27 +197,34 @@ Section decision_section(const PageSource& from, xmlNode* result, const std::str
                    {from.say("Value"), CellKind::kNumber},
                    {"U", CellKind::kNumber},
                    {from.say("Unit"), CellKind::kUnit},
-                   {from.say("Tolerance"), CellKind::kUnit},
-                   {from.say("Acceptance"), CellKind::kNumber},
-                   {from.say("Probability"), CellKind::kNumber},
+                   {from.say("Tolerance"), CellKind::kLimits},
+                   {from.say("Acceptance"), CellKind::kLimits},
+                   {"P", CellKind::kNumber},
+                   {from.say("Risk"), CellKind::kNumber},
                    {from.say("Decision"), CellKind::kUnit}};
   for (xmlNode* quantity : quantities_of(from, result)) {
     const PageValue value = values_of(from, quantity).front();  // In SI units, as on the first page.
     const auto metadata =
         from.xml.nodes("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']", quantity);
     xmlNode* facts = metadata.front();
-    const std::string probability =
-        from.text("dcc:data/dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value", facts);
+    const auto probability = [&](const char* ref_type) {
+      return typeset_number(
+          from.text(fmt::format("dcc:data/dcc:quantity[@refType='{}']/si:real/si:value", ref_type), facts),
+          from.words);
+    };
     table.rows.push_back(
         {symbol_or_words(from, from.content("dcc:name", quantity)) + scope_star(from, quantity), value.value,
          value.expanded, value.unit, limit_of(from, facts, "toleranceLimit", true),
-         limit_of(from, facts, "acceptanceLimit", false), typeset_number(probability, from.words),
-         from.words(word_of(kConformityWords, from.text("dcc:conformity", facts))).text});
+         limit_of(from, facts, "acceptanceLimit", false), probability("abc_conformanceProbability"),
+         probability("abc_risk"), verdict_words(from, facts)});
   }
   Section section{title, {}};
   section.blocks.emplace_back(std::move(table));
+  const auto undecided = from.xml.nodes(
+      "dcc:data/dcc:quantity//dcc:metaData[@refType='basic_conformity'][not(dcc:conformity)]", result);
   section.blocks.push_back(Paragraph{
       from.content("dcc:description", result) + " " +
+      (undecided.empty() ? "" : from.content("dcc:description", undecided.front()) + " ") +
       from.content("dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_decisionRule']/"
                    "dcc:declaration") +
       " " +
@@ -296,9 +320,9 @@ Section equipment_section(const PageSource& from, xmlNode* measurement) {
 Section statement_section(const PageSource& from) {
   FactList list;
   for (const char* ref_type :
-       {"abc_measurand", "abc_uncertainty", "abc_monteCarlo", "abc_deviations", "abc_scope",
-        "abc_reproduction", "abc_sampling", "abc_externalResults", "abc_opinions", "basic_adjustment",
-        "abc_customerSupplied", "basic_recalibration", "abc_amendment", "abc_witness"}) {
+       {"abc_measurand", "abc_uncertainty", "abc_monteCarlo", "abc_stageRecord", "abc_deviations",
+        "abc_scope", "abc_reproduction", "abc_sampling", "abc_externalResults", "abc_opinions",
+        "basic_adjustment", "abc_customerSupplied", "basic_recalibration", "abc_amendment", "abc_witness"}) {
     for (xmlNode* statement : from.xml.nodes(
              fmt::format("dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']", ref_type)))
       add_fact(list, from.content("dcc:name", statement),

@@ -100,6 +100,8 @@ void add_items(XmlElement& administrative, const Certificate& certificate) {
   const std::string owner_id = entered.empty() ? job.owner_id : entered;
   if (!one_line(owner_id).empty())
     add_identification(identifications, "customer", owner_id, words("Number of the owner"));
+  if (identifications.node()->children == nullptr)  // The schema asks for one, in a draft too.
+    add_identification(identifications, "other", words("not stated").text, words("Identity"));
 
   add_item_quantities(item, words, data);
 }

@@ -144,11 +144,10 @@ OutputVector from_local_gravity(const StatedResult& stated) {
 }  // namespace
 
 void add_budget(XmlElement& results, const Words& words, const Budget& budget, const CertifiedRun& run) {
-  XmlElement data =
-      add_result(results, "abc_budget", words("Uncertainty budget"),
-                 words("To first order (JCGM 100): what each input contributes to the standard uncertainty "
-                       "of each output, in "
-                       "SI units. The sum of squares is the square of the standard uncertainty U/k."));
+  XmlElement data = add_result(
+      results, "abc_budget", words("Uncertainty budget"),
+      words("To first order (JCGM 100): what each input contributes to the standard uncertainty of each "
+            "output, in SI units. The sum of squares is the square of the standard uncertainty U/k."));
   const std::vector<OutputGroup> groups =
       output_groups(run.data.record.response_unit, run.stated.result.g_loc.value);
   OutputVector squares = OutputVector::Zero();
@@ -170,7 +169,7 @@ void add_budget(XmlElement& results, const Words& words, const Budget& budget, c
     for (const OutputGroup& group : groups)
       for (const int k : group.outputs) row.contribution(k) = line.contribution(k) * group.factor;
     // The analysis is per local gravity, to which it contributes nothing.
-    if (line.input == "g_loc") row.contribution = from_local_gravity(run.stated);
+    if (line.is_local_gravity) row.contribution = from_local_gravity(run.stated);
     if (row.contribution.isZero(0.0)) continue;  // It does not apply.
     add(row);
   }

@@ -8,10 +8,12 @@
 #include <functional>
 #include <string>
 
+#include "app/laboratory/certificate/certified_record.h"
 #include "app/laboratory/certificate/dcc_rates.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
 #include "app/laboratory/certificate/traceability.h"
+#include "app/laboratory/register/records.h"
 #include "app/results/analysis/held_out_words.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/plan/faces.h"
@@ -117,25 +119,34 @@ void add_instrument(XmlElement& list, const Words& words, const InstrumentIdenti
     add_name(manufacturer, "dcc:name", instrument.maker);
   }
   add_line(equipment, "dcc:model", instrument.model);
+  if (one_line(instrument.serial_number).empty()) return;
   XmlElement identifications = equipment.add("dcc:identifications");
   add_identification(identifications, "manufacturer", instrument.serial_number, words("Serial number"));
 }
 
 void add_calibrated(XmlElement& list, const Words& words, const Equipment& from) {
   XmlElement equipment = list.add("dcc:measuringEquipment");
-  equipment.attribute("refType", from.quantity == "angle" ? "basic_standardUsed" : "abc_equipment");
+  equipment.attribute("refType", from.quantity == "angle"                     ? "basic_standardUsed"
+                                 : from.quantity == lab::kStageRecordQuantity ? "abc_stageRecord"
+                                                                              : "abc_equipment");
   add_name(equipment, "dcc:name", from.name);
-  add_words(equipment, "dcc:description",
-            words("Calibrated in {quantity}; certificate {certificate} of {issuer}, performed {performed}, "
+  const bool is_record = from.quantity == lab::kStageRecordQuantity;
+  const std::string certificate = one_line(from.certificate), issuer = one_line(from.certificate_issuer);
+  add_words(
+      equipment, "dcc:description",
+      is_record
+          ? words("Errors of the stage, measured by the laboratory: record {certificate}, approved by "
+                  "{issuer} on {performed}, valid until {due}.",
+                  certificate, issuer, date_words(from.performed), date_words(from.due))
+          : words("Calibrated in {quantity}; certificate {certificate} of {issuer}, performed {performed}, "
                   "valid until {due}.",
-                  word_of(kQuantities, from.quantity), one_line(from.certificate),
-                  one_line(from.certificate_issuer),
-                  from.performed ? format_date(*from.performed) : words("not stated").text,
-                  from.due ? format_date(*from.due) : words("not stated").text));
+                  word_of(kQuantities, from.quantity), certificate, issuer, date_words(from.performed),
+                  date_words(from.due)));
   if (!from.certificate_sha256.empty())
     add_hash(equipment, "dcc:certificate",
-             words("Calibration certificate of {quantity}", one_line(from.name)), from.certificate,
-             from.certificate_sha256);
+             is_record ? words("Record of the stage")
+                       : words("Calibration certificate of {quantity}", one_line(from.name)),
+             from.certificate, from.certificate_sha256);
   if (!one_line(from.maker).empty()) {
     XmlElement manufacturer = equipment.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", from.maker);
@@ -179,17 +190,15 @@ void add_protocol(XmlElement& methods, const Certificate& certificate, const Rep
   protocol.attribute("refType", "abc_protocol");
   add_words(protocol, "dcc:name", words("ABC protocol: three rotation experiments in gravity"));
   const bool turns = is_at_constant_rate(data.record);
-  add_words(
-      protocol, "dcc:description",
-      turns
-          ? words("The accelerometer is turned about the two axes of a rotation stage at constant rates, so "
-                  "that gravity becomes a sine, and its outputs are read on the way. The sensitivity "
-                  "matrix and the offsets at rest, and the response at each rate, follow by least squares "
-                  "from the outputs and the angles that the encoders tell, the intrinsic properties from "
-                  "the rows of the matrix.")
-          : words("The accelerometer is turned about the two axes of a rotation stage; at each angle the "
-                  "outputs are averaged. The sensitivity matrix and the offsets follow from the outputs by "
-                  "least squares, the intrinsic properties from the rows of the matrix."));
+  add_words(protocol, "dcc:description",
+            turns ? words("The accelerometer is turned about the two axes of a rotation stage at constant "
+                          "rates, so that gravity becomes a sine, and its outputs are read on the way. The "
+                          "sensitivity matrix and the offsets at rest, and the response at each rate, follow "
+                          "by least squares from the outputs and the angles that the encoders tell, the "
+                          "intrinsic properties from the rows of the matrix.")
+                  : words("The accelerometer is turned about the two axes of a rotation stage; at each angle "
+                          "the outputs are averaged. The sensitivity matrix and the offsets follow from the "
+                          "outputs by least squares, the intrinsic properties from the rows of the matrix."));
   add_line(protocol, "dcc:reference", "doi:10.6028/jres.126.038");
   if (turns) add_line(protocol, "dcc:reference", "Gaitan, Geist, Measurement 189 (2022), 110528");
   if (!certificate.laboratory.job.procedure.empty())
@@ -223,12 +232,21 @@ void add_estimator(XmlElement& methods, const Words& words, const ReportData& da
   XmlElement estimator = methods.add("dcc:usedMethod");
   estimator.attribute("refType", "abc_estimator");
   add_words(estimator, "dcc:name", words("Estimator: {estimator}", data.estimator));
-  add_words(estimator, "dcc:description",
-            data.estimator == kPublishedEstimator
-                ? words("The protocol as published: harmonic fits of each experiment. It was declared before "
-                        "the first angle was measured, or is that of runs without a declaration.")
-                : words("One least-squares fit of all readings with the errors of the stage as unknowns. It "
-                        "was declared before the first angle was measured."));
+  Wording description =
+      data.estimator == kPublishedEstimator
+          ? words(
+                "The protocol as published: harmonic fits of each experiment. It was declared before "
+                "the first angle was measured, or is that of runs without a declaration.")
+      : data.is_of_several_runs()
+          ? words(
+                "One least-squares fit of the readings of several runs with the errors of the stage as "
+                "unknowns, which are common to the runs.")
+          : words(
+                "One least-squares fit of all readings with the errors of the stage as unknowns. It "
+                "was declared before the first angle was measured.");
+  if (data.result().stage_record)
+    description.text += " " + words("The record of the stage is their prior.").text;
+  add_words(estimator, "dcc:description", description);
 }
 
 /// Unit of a size, in D-SI.
@@ -293,7 +311,7 @@ XmlElement add_methods(XmlElement& measurement, const Certificate& certificate, 
                   "here, propagated to first order with all correlations."));
   add_line(uncertainty, "dcc:norm", "JCGM 100:2008");
   add_line(uncertainty, "dcc:norm", "JCGM 102:2011");
-  add_effects(uncertainty, words, data.record.tolerances);
+  add_effects(uncertainty, words, sizes_behind(data));
   return methods;
 }
 
@@ -308,7 +326,7 @@ void add_used_software(XmlElement& measurement, const Certificate& certificate, 
 void add_equipment(XmlElement& measurement, const Certificate& certificate, const ReportData& data) {
   XmlElement list = measurement.add("dcc:measuringEquipments");
   for (const Equipment& equipment : certificate.laboratory.equipment)
-    add_calibrated(list, certificate.words, equipment);
+    if (belongs_to(equipment, data.result())) add_calibrated(list, certificate.words, equipment);
   for (const InstrumentIdentity& instrument : data.run->header.instruments)
     if (!instrument.role.starts_with("accelerometer")) add_instrument(list, certificate.words, instrument);
 }
@@ -367,8 +385,21 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
   add("abc_rawDataHash", words("SHA-256 of the raw data"),
       data.sha256 ? words.as_given(*data.sha256) : words("none: the run is not closed"));
   add("abc_rawData", words("File of the raw data"), words.as_given(data.path.filename().string()));
-  add("abc_period", words("Measured, UTC"), words("{from} to {to}", data.started_utc(), data.ended_utc()));
+  if (data.is_of_several_runs())
+    for (const ReportData& run : certificate.together) {
+      XmlElement metadatum = add_metadatum(list, "abc_runHash", words("SHA-256 of a run of the measurement"));
+      add_words(metadatum, "dcc:description", words.as_given(run.path.filename().string()));
+      add_text(metadatum, words.as_given(run.sha256.value_or("")));
+    }
+  const auto [from, to] = period_of(runs_of_result(certificate.together, data));
+  add("abc_period", words("Measured, UTC"), words("{from} to {to}", from, to));
   const CalibrationResult& result = data.result();
+  if (result.stage_record) {
+    XmlElement tests = add_metadatum(list, "abc_stageRecordTest",
+                                     words("Distance of each part of the stage from its record, in what the "
+                                           "record expects (probability)"));
+    add_words(tests, "dcc:description", words(tests_of_record(*result.stage_record)));
+  }
   add("abc_estimator", words("Estimator"), words.as_given(result.estimator));
   XmlElement verdict = add_metadatum(list, "abc_verdict", words("Verdict of the analysis"));
   // The Schematron requires sentences in an element with a name.

@@ -38,7 +38,9 @@ void add_response_at_rates(XmlElement& results, const Words& words, const Stated
       results, "abc_responseAtRates", words("Response at constant rates"),
       words("Response to gravity that turns once a period: its amplitude, relative to that at rest, and its "
             "phase beyond that of a delay that is the same at all rates; above 0 it leads. Frequencies are "
-            "those of the turning stage. All other results are those at rest."));
+            "those of the turning stage by the clock of the computer, without an uncertainty and not "
+            "traceable. "
+            "All other results are those at rest."));
   int number = 0;
   for (const RateResponse& response : stated.result.joint->motion->responses) {
     XmlElement list = data.add("dcc:list");

@@ -14,6 +14,7 @@
 #include "app/laboratory/certificate/dcc_conditions.h"
 #include "app/laboratory/certificate/dcc_quantity.h"
 #include "app/laboratory/certificate/dcc_rates.h"
+#include "app/laboratory/certificate/dcc_state.h"
 #include "app/laboratory/certificate/dcc_temperature.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
@@ -87,13 +88,6 @@ Eigen::MatrixXd covariance_of(const CalibrationResult& result, const DerivedList
   });
 }
 
-const DerivedList& group_of(const StatedResult& stated, std::string_view name) {
-  const auto found = std::find_if(stated.derived.begin(), stated.derived.end(),
-                                  [&](const DerivedGroup& group) { return group.name == name; });
-  if (found == stated.derived.end()) throw std::logic_error(fmt::format("nothing was derived as {}", name));
-  return found->quantities;
-}
-
 /// The list with the marks of the scope. Each value is named by the group and by the part of its label after
 /// "_": "offset" and "O_u" are "offset_u".
 ValueList marked(const StatedResult& stated, const std::string& group, ValueList list) {
@@ -114,11 +108,14 @@ ValueList all_marked(const StatedResult& stated, ValueList list) {
 /// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
 void add_si(XmlElement& results, const Words& words, const StatedResult& stated) {
   const CalibrationResult& result = stated.result;
-  const DerivedList &sensitivity = group_of(stated, "sensitivity"),
-                    &intrinsic = group_of(stated, "intrinsic_sensitivity");
-  XmlElement matrix =
-      add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
-                 words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
+  const DerivedList &sensitivity = stated.group("sensitivity"),
+                    &intrinsic = stated.group("intrinsic_sensitivity");
+  XmlElement matrix = add_result(
+      results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
+      result.stage_record
+          ? words("Rows u, v, w; columns x, y, z of the platter, in the frame of the axes that the "
+                  "record of the stage states. Specific force at rest points up.")
+          : words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
   add_rows(matrix, words, [&](std::size_t j) {
     const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
     const DerivedList row(first, first + 3);
@@ -147,8 +144,7 @@ void add_per_gravity(XmlElement& results, const Words& words, const StatedResult
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
                  words("Change of the output for an acceleration of one local gravity g_loc, which is among "
-                       "the conditions; "
-                       "its uncertainty does not enter."));
+                       "the conditions; its uncertainty does not enter."));
   std::vector<Quantity> twelve;
   add_rows(matrix, words, [&](std::size_t j) {
     const auto& row = (*result.sensitivity_matrix)[j];
@@ -166,57 +162,6 @@ void add_per_gravity(XmlElement& results, const Words& words, const StatedResult
   add_values(results, words, "abc_allOutputsPerGravity",
              words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
              all_marked(stated, list_of(twelve_labels(s), twelve, *result.covariance)));
-}
-
-/// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
-/// covariance of sensitivities, angles and offsets together is given in this form.
-void add_correlation(XmlElement& data, const std::string& ref_type, const Wording& name,
-                     const std::vector<std::string>& labels, const Eigen::MatrixXd& covariance) {
-  XmlElement list = data.add("dcc:list");
-  list.attribute("refType", ref_type);
-  add_words(list, "dcc:name", name);
-  for (Eigen::Index i = 0; i < covariance.rows(); ++i) {
-    XmlElement row = add_quantity(list, "abc_correlation", {labels[static_cast<std::size_t>(i)], {}});
-    std::vector<std::string> numbers;
-    for (Eigen::Index j = 0; j < covariance.cols(); ++j) {
-      const double scale = std::sqrt(covariance(i, i)) * std::sqrt(covariance(j, j));
-      // Rounding may exceed 1 in the last place.
-      const double of = i == j ? 1.0 : scale > 0.0 ? std::clamp(covariance(i, j) / scale, -1.0, 1.0) : 0.0;
-      numbers.push_back(
-          dsi_number(std::round(of * 1e4) / 1e4, "correlation of " + labels[static_cast<std::size_t>(i)]));
-    }
-    add_number_list(row, labels, numbers, "\\one");
-  }
-}
-
-void add_correlations(XmlElement& results, const Words& words, const StatedResult& stated,
-                      const std::optional<CustomerEquation>& equation) {
-  const CalibrationResult& result = stated.result;
-  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
-  // Quantities per m/s2, so that their common error of local gravity is included.
-  DerivedList nine = group_of(stated, "intrinsic_sensitivity");
-  const auto add_output = [&](const auto& gradient) {
-    nine.emplace_back().gradient.template head<12>() = gradient;
-  };
-  for (Eigen::Index row = 3; row < 6; ++row) {
-    // A raised angle has a larger uncertainty than the matrix gives it.
-    const double raised = std::sqrt((*result.covariance_intrinsic)(row, row) /
-                                    (jacobian.row(row) * *result.covariance).dot(jacobian.row(row)));
-    const double factor = std::isfinite(raised) ? std::max(1.0, raised) : 1.0;
-    add_output(factor * jacobian.row(row).transpose());
-  }
-  for (Eigen::Index j = 9; j < 12; ++j) add_output(Eigen::Matrix<double, 12, 1>::Unit(j));
-  XmlElement data = add_result(
-      results, "abc_correlations", words("Coefficients of correlation"),
-      words("With the standard uncertainties U/k they give the covariance of all outputs together."));
-  add_correlation(data, "abc_correlationOutputs", words("Sensitivity matrix row by row and offsets"),
-                  twelve_labels("s"), covariance_of_outputs(stated));
-  add_correlation(data, "abc_correlationIntrinsic",
-                  words("Intrinsic sensitivities, intrinsic angles and offsets"),
-                  output_labels(kIntrinsicSymbols, "s"), covariance_of(result, nine));
-  if (equation)
-    add_correlation(data, "abc_correlationEquation", words("Matrix M row by row and offsets b"),
-                    equation_labels(), equation->covariance);
 }
 
 /// "transverse_sensitivity" as "abc_transverseSensitivity".
@@ -245,12 +190,11 @@ void add_derived_group(XmlElement& results, const Words& words, const StatedResu
     names.push_back(quantity.name);
   }
   if (values.empty()) return;
-  XmlElement data =
-      add_result(results, ref_type, name,
-                 values.size() == group.quantities.size()
-                     ? Wording{}
-                     : words("Left out where the transverse sensitivity does not exceed its expanded "
-                             "uncertainty, so that it has no direction."));
+  XmlElement data = add_result(results, ref_type, name,
+                               values.size() == group.quantities.size()
+                                   ? Wording{}
+                                   : words("Left out where the transverse sensitivity does not exceed its "
+                                           "expanded uncertainty, so that it has no direction."));
   const std::string& first = group.quantities.front().name;
   add_list(data, words, name, marked(stated, first.substr(0, first.rfind('_')), list_of(names, values)));
 }
@@ -287,8 +231,13 @@ void add_decision(XmlElement& data, const Words& words, const StatedResult& resu
   XmlElement metadata = quantity.add("dcc:measurementMetaData");
   XmlElement conformity =
       add_metadatum(metadata, "basic_conformity", words("Conformity of {name}", limit.quantity));
+  if (decision.conformity == Conformity::kUndecided)
+    add_words(conformity, "dcc:description",
+              words("None possible: U is so large that the guard band leaves no value to accept."));
   add_line(conformity, "dcc:reference", limit.source);
-  conformity.add("dcc:conformity", to_string(decision.conformity));
+  // The schema has no word for a decision that is not possible.
+  if (decision.conformity != Conformity::kUndecided)
+    conformity.add("dcc:conformity", to_string(decision.conformity));
   XmlElement facts = conformity.add("dcc:data");
   const UnitInDsi in = unit_in_dsi(stated.unit, result.result.g_loc.value);
   const std::string own = in.own ? in.own->text() : in.unit.text();
@@ -309,21 +258,30 @@ void add_decision(XmlElement& data, const Words& words, const StatedResult& resu
   add_rounded("basic_acceptanceLimitLower", words("lower acceptance limit"), decision.lower_acceptance);
   add_rounded("basic_acceptanceLimitUpper", words("upper acceptance limit"), decision.upper_acceptance);
   add_rounded("abc_guardBand", words("guard band"), decision.guard_band);
-  constexpr double kDigits = 1e6;
-  add_number(facts, "abc_conformanceProbability",
-             words("probability that the true value lies inside the tolerance limits"),
-             dsi_number(std::round(decision.conformance_probability * kDigits) / kDigits, limit.quantity),
-             "1");
+  add_number(facts, fmt::format("abc_rule_{}", kDecisionRules.of(decision.rule.kind, "")),
+             words("guard factor of the decision rule, where it has one"),
+             dsi_number(decision.rule.guard_factor, limit.quantity), "1");
+  const auto add_probability = [&](const char* ref_type, const Wording& name, double probability) {
+    constexpr double kDigits = 1e4;
+    add_number(facts, ref_type, name, dsi_number(std::round(probability * kDigits) / kDigits, limit.quantity),
+               "1");
+  };
+  add_probability("abc_conformanceProbability",
+                  words("probability that the true value lies inside the tolerance limits"),
+                  decision.conformance_probability);
+  if (decision.risk)
+    add_probability("abc_risk",
+                    words("largest probability that the true value of an accepted one lies outside"),
+                    *decision.risk);
   add_scope_marks(metadata, words, {limit.quantity}, {result.mark(limit.quantity)});
 }
 
 void add_shifts(XmlElement& results, const Words& words, const StatedResult& stated,
                 const std::vector<Shift>& shifts) {
   if (shifts.empty()) return;
-  XmlElement data = add_result(
-      results, "abc_shift", words("As left minus as found"),
-      words("Uncertainties take both calibrations as independent, an upper bound where they were made "
-            "on the same stage."));
+  XmlElement data = add_result(results, "abc_shift", words("As left minus as found"),
+                               words("Uncertainties take both calibrations as independent, an upper bound "
+                                     "where they were made on the same stage."));
   for (const Shift& shift : shifts) {
     XmlElement quantity = add_quantity(data, "abc_difference", {shift.name, {}});
     add_value(quantity, shift.difference, "shift of " + shift.name);
@@ -366,14 +324,17 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
     add_derived_group(results, words, stated, group, {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
   }
   if (!run.decisions.empty()) {
-    XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"),
-                                 words("Each limit is converted to the SI unit of its quantity once; each "
-                                       "decision is made from the printed "
-                                       "numbers."));
+    XmlElement data =
+        add_result(results, "abc_conformity", words("Conformity with specification"),
+                   words("Each limit is converted to the SI unit of its quantity once; each "
+                         "decision is made from the printed numbers. P: probability that the true "
+                         "value lies inside the tolerance. Risk: the largest probability that it "
+                         "lies outside although the measured value is accepted. Both are those "
+                         "of Student's distribution with the degrees of freedom of U."));
     for (const Decision& decision : run.decisions) add_decision(data, words, stated, decision);
   }
   add_shifts(results, words, stated, shifts);
-  add_correlations(results, words, stated, equation);
+  add_state(results, words, stated, equation);
   if (run.data.budget) add_budget(results, words, *run.data.budget, run);
 }
 
@@ -389,7 +350,7 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   (void)add_methods(measurement, certificate, run.data);
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
-  add_conditions(measurement, certificate, {&run.data}, state);
+  add_conditions(measurement, certificate, runs_of_result(certificate.together, run.data), state);
   add_results(measurement, words, run, shifts);
   add_metadata(measurement, certificate, run.data);
 }

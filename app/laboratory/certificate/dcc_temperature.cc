@@ -115,8 +115,7 @@ void add_temperature_range(XmlElement& results, const SeriesSource& from) {
       result.by_item()
           ? words("Temperature T is that of the item's own sensor, mean over each run. The sensor is not "
                   "calibrated here, and its errors are in no uncertainty: kelvins are those that it shows. "
-                  "What "
-                  "is stated over temperature holds between the lowest and the highest T.")
+                  "What is stated over temperature holds between the lowest and the highest T.")
           : words("Temperature T is the set point of the chamber, as the item has no sensor. Its difference "
                   "from the temperature of the item is not known and in no uncertainty. What is stated over "
                   "temperature holds between the lowest and the highest T."));
@@ -202,12 +201,11 @@ void add_coefficients(XmlElement& results, const SeriesSource& from, const Coeff
 
 void add_polynomials(XmlElement& results, const SeriesSource& from) {
   const Words& words = from.words;
-  XmlElement data = add_result(
-      results, "abc_temperaturePolynomials", words("Polynomials over temperature"),
-      words(
-          "Value at T = a_0 + a_1 x + a_2 x^2 and so on, x = (T - T0)/K; its standard uncertainty is that of "
-          "this sum with the covariance of the coefficients. They have all digits, since they belong "
-          "together. Sensitivities are per local gravity."));
+  XmlElement data =
+      add_result(results, "abc_temperaturePolynomials", words("Polynomials over temperature"),
+                 words("Value at T = a_0 + a_1 x + a_2 x^2 and so on, x = (T - T0)/K; its standard "
+                       "uncertainty is that of this sum with the covariance of the coefficients. They have "
+                       "all digits, since they belong together. Sensitivities are per local gravity."));
   for (std::size_t k = 0; k < kSeriesOutputs; ++k) {
     const TemperaturePolynomial& polynomial = from.result.polynomials[k];
     std::vector<std::string> labels;
@@ -237,10 +235,10 @@ void add_differences(XmlElement& results, const SeriesSource& from) {
   const Words& words = from.words;
   const std::vector<TemperatureHysteresis>& all = from.result.hysteresis;
   if (all.front().has_both_ways) {
-    XmlElement data = add_result(
-        results, "abc_temperatureHysteresis", words("Way up minus way down, where it is largest"),
-        words("Corrected to equal temperature of the item by the polynomials. What all points have in "
-              "common of the stage is not in its uncertainty."));
+    XmlElement data =
+        add_result(results, "abc_temperatureHysteresis", words("Way up minus way down, where it is largest"),
+                   words("Corrected to equal temperature of the item by the polynomials. What all points "
+                         "have in common of the stage is not in its uncertainty."));
     for (std::size_t k = 0; k < kSeriesOutputs; ++k) {
       const TemperatureHysteresis& one = all[k];
       XmlElement quantity = add_quantity(data, "abc_upMinusDown", {output_symbol_of(k, one.name), {}});
@@ -255,11 +253,10 @@ void add_differences(XmlElement& results, const SeriesSource& from) {
     }
   }
   if (!all.front().has_closure) return;
-  XmlElement data =
-      add_result(results, "abc_temperatureClosure",
-                 words("Closure: last point minus first point, both at the reference"),
-                 words("Corrected to equal temperature of the item by the polynomials. What all "
-                       "points have in common of the stage is not in its uncertainty."));
+  XmlElement data = add_result(results, "abc_temperatureClosure",
+                               words("Closure: last point minus first point, both at the reference"),
+                               words("Corrected to equal temperature of the item by the polynomials. What "
+                                     "all points have in common of the stage is not in its uncertainty."));
   for (std::size_t k = 0; k < kSeriesOutputs; ++k) {
     XmlElement quantity = add_quantity(data, "abc_closure", {output_symbol_of(k, all[k].name), {}});
     add_value(quantity, quantity_of(all[k].closure, all[k].closure_uncertainty, all[k].unit), all[k].name);
@@ -273,13 +270,12 @@ void add_polynomial_method(XmlElement& methods, const SeriesSource& from) {
   XmlElement method = methods.add("dcc:usedMethod");
   method.attribute("refType", "abc_temperatureSeries");
   add_words(method, "dcc:name", from.words("Polynomials over temperature"));
-  add_words(
-      method, "dcc:description",
-      from.words("Each point is analysed by itself. What is the same at every point (alignment, wobble and "
-                 "angles of the stage) shifts all points together: it is in the uncertainty of the values "
-                 "at T0 and hardly in that of the change with temperature. Generalised least squares; the "
-                 "order of each polynomial by likelihood ratios at 95 %. Scatter of the points that their "
-                 "own noise does not explain is in the uncertainties."));
+  add_words(method, "dcc:description",
+            from.words("Each point is analysed by itself. What is the same at every point (alignment, wobble "
+                       "and angles of the stage) shifts all points together: it is in the uncertainty of the "
+                       "values at T0 and hardly in that of the change with temperature. Generalised least "
+                       "squares; the order of each polynomial by likelihood ratios at 95 %. Scatter of the "
+                       "points that their own noise does not explain is in the uncertainties."));
 }
 
 /// "abc_seriesPointUp", and the leg in words.

@@ -1,6 +1,7 @@
 #include "app/laboratory/certificate/dcc_text.h"
 
 #include "app/laboratory/certificate/dcc_xml.h"
+#include "protocol/record/stage_record.h"
 #include "protocol/uncertainty/budget.h"
 
 namespace abcal {
@@ -36,6 +37,7 @@ XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Word
 Wording source_words(const Words& words, const std::string& source) {
   if (source == kThisRun) return words("the readings of this run");
   if (source == "default") return words("a default that nobody stated");
+  if (source == kStageRecordSource) return words("record of the stage");
   if (source.empty()) return words("not stated");
   // The readers of bench files enter these where a size has no source.
   if (source == "stated") return words("stated");
@@ -67,9 +69,10 @@ void add_software(XmlElement& list, const Words& words, std::string_view name, c
 
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
                         const Wording& name) {
+  if (one_line(value).empty()) return;
   XmlElement identification = list.add("dcc:identification");
   identification.add("dcc:issuer", issuer);
-  identification.add("dcc:value", line_or_not_stated(value));
+  identification.add("dcc:value", one_line(value));
   add_words(identification, "dcc:name", name);
 }
 

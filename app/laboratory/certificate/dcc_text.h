@@ -30,7 +30,7 @@ void add_line(XmlElement& parent, std::string_view element, std::string_view tex
 /// Adds software with its release as the business rules require it ("v1.0.0") and its version in full.
 void add_software(XmlElement& list, const Words& words, std::string_view name, const std::string& version);
 
-/// Adds an identification: issuer, value and name.
+/// Adds an identification: issuer, value and name; nothing without a value.
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
                         const Wording& name);
 

@@ -9,9 +9,10 @@
 #include <stdexcept>
 #include <utility>
 
-#include "app/results/analysis/report_data.h"
+#include "app/formats/dsi_unit.h"
+#include "app/laboratory/certificate/derived.h"
 #include "drivers/text/names.h"
-#include "protocol/uncertainty/normal_probability.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -40,9 +41,28 @@ struct Interval {
   bool contains(double value, double slack) const {
     return (!lower || value >= *lower - slack) && (!upper || value <= *upper + slack);
   }
+
+  /// Whether no value of a range lies within.
+  bool is_empty(const QuantityRange& range) const {
+    return std::max(lower.value_or(range.least), range.least) >
+           std::min(upper.value_or(range.most), range.most);
+  }
 };
 
+/// The probability to lie inside the limits is largest in their middle and falls to both sides: outside, it
+/// is largest at an acceptance limit.
+double largest_risk(const Interval& acceptance, const Decision& decision) {
+  const auto outside = [&](const std::optional<double>& value) {
+    return value ? 1.0 - conformance_probability(*value, decision.standard_uncertainty,
+                                                 decision.quantity.degrees_of_freedom, decision.limit.lower,
+                                                 decision.limit.upper)
+                 : 0.0;
+  };
+  return std::max(outside(acceptance.lower), outside(acceptance.upper));
+}
+
 Conformity judge(const DecisionRule& rule, const Decision& decision, const std::optional<int>& place) {
+  if (!decision.risk) return Conformity::kUndecided;
   const double slack = place ? 0.5 * std::pow(10.0, *place) : 0.0;
   const auto is_within = [&](double guard) {
     return Interval::of(decision.limit, guard, place).contains(decision.value, slack);
@@ -60,81 +80,75 @@ double printed_number(const std::string& text) {
   return number;
 }
 
-Decision decide_at(const DecisionRule& rule, const SpecificationLimit& limit, double value,
-                   const std::pair<double, double>& expanded_and_factor, const std::optional<int>& place) {
-  const auto [expanded, factor] = expanded_and_factor;
+constexpr auto kConformities = names<Conformity>({{Conformity::kPass, "pass"},
+                                                  {Conformity::kConditionalPass, "conditionalPass"},
+                                                  {Conformity::kConditionalFail, "conditionalFail"},
+                                                  {Conformity::kFail, "fail"},
+                                                  {Conformity::kUndecided, "undecided"}});
+
+}  // namespace
+
+Decision decide_printed(const DecisionRule& rule, const SpecificationLimit& limit, const Quantity& quantity,
+                        const RoundedValue& printed) {
+  const double value = printed_number(printed.value), expanded = printed_number(printed.expanded),
+               factor = coverage_factor(quantity);
   if (!std::isfinite(value) || !(expanded >= 0.0) || !std::isfinite(expanded))
     throw std::invalid_argument("no decision on " + limit.quantity + ": it has no value with an uncertainty");
   if (!limit.lower && !limit.upper)
     throw std::invalid_argument("no decision on " + limit.quantity + ": no limit is given");
   Decision decision;
   decision.stated = decision.limit = limit;
+  decision.rule = rule;
+  decision.quantity = quantity;
   decision.value = value;
   decision.standard_uncertainty = expanded / factor;
   decision.coverage_factor = factor;
   decision.expanded_uncertainty = expanded;
   decision.guard_band = guard_band(rule, limit, expanded);
-  const Interval acceptance = Interval::of(limit, decision.guard_band, place);
-  decision.lower_acceptance = acceptance.lower;
-  decision.upper_acceptance = acceptance.upper;
-  decision.conformance_probability =
-      conformance_probability(value, decision.standard_uncertainty, limit.lower, limit.upper);
-  decision.conformity = judge(rule, decision, place);
+  const Interval acceptance = Interval::of(limit, decision.guard_band, printed.place);
+  const double in_si = unit_in_dsi(quantity.unit).factor;
+  const QuantityRange range = range_of_quantity(limit.quantity, quantity.unit);
+  if (!acceptance.is_empty({range.least * in_si, range.most * in_si})) {
+    decision.lower_acceptance = acceptance.lower;
+    decision.upper_acceptance = acceptance.upper;
+    decision.risk = largest_risk(acceptance, decision);
+  }
+  decision.conformance_probability = conformance_probability(
+      value, decision.standard_uncertainty, quantity.degrees_of_freedom, limit.lower, limit.upper);
+  decision.conformity = judge(rule, decision, printed.place);
   return decision;
 }
-
-constexpr auto kConformities = names<Conformity>({{Conformity::kPass, "pass"},
-                                                  {Conformity::kConditionalPass, "conditionalPass"},
-                                                  {Conformity::kConditionalFail, "conditionalFail"},
-                                                  {Conformity::kFail, "fail"}});
-
-}  // namespace
 
 std::string_view to_string(Conformity conformity) {
   return kConformities.of(conformity, "fail");
 }
 
 Wording describe(const DecisionRule& rule, const Words& words) {
-  // A value right at an acceptance limit, of which the limit that matters is r U = 2 r u away.
-  const auto in_language = [&](std::string number) {
-    if (const std::size_t point = number.find('.'); point != std::string::npos)
-      number.replace(point, 1, words(".").text);
-    return number;
-  };
-  const std::string worst =
-      in_language(fmt::format("{:.2g}", 100.0 * normal_below(-kCoverageFactor * rule.guard_factor)));
-  const std::string factor = in_language(fmt::format("{:.4g}", rule.guard_factor));
+  std::string factor = fmt::format("{:.4g}", rule.guard_factor);
+  if (const std::size_t point = factor.find('.'); point != std::string::npos)
+    factor.replace(point, 1, words(".").text);
   switch (rule.kind) {
     case DecisionKind::kSimple:
       return words(
           "Simple acceptance: the acceptance limits are the tolerance limits (guard band w = 0); pass or "
-          "fail. "
-          "A value at a limit is accepted with a probability of up to 50 % that the true value is outside.");
+          "fail.");
     case DecisionKind::kGuardBand:
       return words(
           "Binary decision with acceptance limits inside the tolerance limits by the guard band w = "
-          "{guard_band} U; "
-          "pass or "
-          "fail. An accepted value lies outside with a probability of at most {risk} %.",
-          factor, worst);
+          "{guard_band} U; pass or fail.",
+          factor);
     case DecisionKind::kNonBinary:
       return words(
           "Non-binary decision with acceptance limits inside the tolerance limits by the guard band w = "
-          "{guard_band} "
-          "U: pass "
-          "inside the acceptance limits, conditional pass between acceptance and tolerance limit, "
-          "conditional fail "
-          "up to w outside the tolerance limit, fail beyond. A value that passes lies outside with a "
-          "probability "
-          "of at most {risk} %, one that passes conditionally of at most 50 %.",
-          factor, worst);
+          "{guard_band} U: pass inside the acceptance limits, conditional pass between acceptance and "
+          "tolerance limit, conditional fail up to w outside the tolerance limit, fail beyond.",
+          factor);
     case DecisionKind::kTestUncertaintyRatio:
       break;
   }
   return words(
       "Binary decision with a guard band from the ratio TUR of tolerance to U, w = U max(0, 1.04 - exp(0.38 "
-      "ln "
-      "TUR - 0.54)); pass or fail. At most 2 % of items are accepted falsely, however the items scatter.");
+      "ln TUR - 0.54)); pass or fail. At most 2 % of items are accepted falsely, however the items scatter.");
 }
 
 double guard_band(const DecisionRule& rule, const SpecificationLimit& limit, double expanded_uncertainty) {
@@ -151,24 +165,13 @@ double guard_band(const DecisionRule& rule, const SpecificationLimit& limit, dou
   return expanded_uncertainty * std::max(0.0, 1.04 - std::exp(0.38 * std::log(ratio) - 0.54));
 }
 
-double conformance_probability(double value, double standard_uncertainty, const std::optional<double>& lower,
-                               const std::optional<double>& upper) {
+double conformance_probability(double value, double standard_uncertainty, double degrees_of_freedom,
+                               const std::optional<double>& lower, const std::optional<double>& upper) {
   if (standard_uncertainty == 0.0)
     return (!lower || value >= *lower) && (!upper || value <= *upper) ? 1.0 : 0.0;
   constexpr double kFar = std::numeric_limits<double>::infinity();
-  return normal_between(lower ? (*lower - value) / standard_uncertainty : -kFar,
-                        upper ? (*upper - value) / standard_uncertainty : kFar);
-}
-
-Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value,
-                double standard_uncertainty, double factor) {
-  return decide_at(rule, limit, value, {factor * standard_uncertainty, factor}, {});
-}
-
-Decision decide_printed(const DecisionRule& rule, const SpecificationLimit& limit,
-                        const RoundedValue& printed, double factor) {
-  return decide_at(rule, limit, printed_number(printed.value), {printed_number(printed.expanded), factor},
-                   printed.place);
+  return student_t_between(lower ? (*lower - value) / standard_uncertainty : -kFar,
+                           upper ? (*upper - value) / standard_uncertainty : kFar, degrees_of_freedom);
 }
 
 }  // namespace abcal

@@ -28,8 +28,9 @@ struct Inputs {
   std::array<std::array<Real, 3>, 3> s;
   std::array<Real, 3> offset;
   Real g_loc;
+  Eigen::Matrix3d mounting;
 
-  explicit Inputs(const CalibrationResult& result) {
+  Inputs(const CalibrationResult& result, const Eigen::Matrix3d& stated) : mounting(stated) {
     int i = 0;
     const auto input = [&i](double value) { return Real(value, 13, i++); };
     for (std::size_t j = 0; j < 3; ++j)
@@ -42,17 +43,27 @@ struct Inputs {
   Real dot(std::size_t i, std::size_t j) const {
     return s[i][0] * s[j][0] + s[i][1] * s[j][1] + s[i][2] * s[j][2];
   }
-  /// Root of the sum of squares of the off-diagonal elements of a row.
+  /// Component of row j along the stated direction of output k.
+  Real along(std::size_t j, std::size_t k) const {
+    const auto row = static_cast<Eigen::Index>(k % 3);
+    return s[j][0] * mounting(row, 0) + s[j][1] * mounting(row, 1) + s[j][2] * mounting(row, 2);
+  }
+  /// Root of the sum of squares of the components across the stated direction.
   Real transverse(std::size_t j) const {
-    const Real &a = s[j][(j + 1) % 3], &b = s[j][(j + 2) % 3];
+    const Real a = along(j, j + 1), b = along(j, j + 2);
     return sqrt(Real(a * a + b * b));
   }
-  Real diagonal(std::size_t j) const { return s[j][j].value() < 0.0 ? Real(-s[j][j]) : s[j][j]; }
+  /// Magnitude of the component along the stated direction.
+  Real diagonal(std::size_t j) const {
+    const Real of = along(j, j);
+    return of.value() < 0.0 ? Real(-of) : of;
+  }
 };
 
 class Deriver {
  public:
-  explicit Deriver(const CalibrationResult& result) : result_(result), inputs_(result) {}
+  Deriver(const CalibrationResult& result, const DeriveFrom& from)
+      : result_(result), from_(from), inputs_(result, from.mounting) {}
 
   const Inputs& inputs() const { return inputs_; }
 
@@ -93,32 +104,50 @@ class Deriver {
   double least_degrees(const DerivedQuantity& derived) const {
     constexpr double kShare = 0.05;
     double least = std::numeric_limits<double>::infinity();
-    const double variance = std::pow(derived.value.standard_uncertainty, 2);
+    const Covariance12& measured = from_.measured ? *from_.measured : *result_.covariance;
+    const auto outputs = derived.gradient.head<12>();
+    const double variance = outputs.dot(measured * outputs) +
+                            std::pow(derived.gradient[12] * result_.g_loc.standard_uncertainty, 2);
     for (Eigen::Index i = 0; i < 12; ++i) {
       const auto at = static_cast<std::size_t>(i);
       const Quantity& output = i < 9 ? (*result_.sensitivity_matrix)[at / 3][at % 3] : result_.offset[at - 9];
-      const double share = std::pow(derived.gradient[i], 2) * (*result_.covariance)(i, i);
+      const double share = std::pow(derived.gradient[i], 2) * measured(i, i);
       if (share > kShare * variance) least = std::min(least, output.degrees_of_freedom);
     }
     return least;
   }
 
   const CalibrationResult& result_;
+  const DeriveFrom& from_;
   Inputs inputs_;
 };
 
-/// A value of zero has no direction, and so no derivative: its uncertainty is that of its two components.
-void mend_zero(DerivedGroup& group, const CalibrationResult& result, double scale) {
+/// Uncertainty of a component across the stated direction, relative to that along it.
+double u_across(const Deriver& deriver, const CalibrationResult& result, std::size_t j, std::size_t k) {
+  const Inputs& in = deriver.inputs();
+  const Real ratio = in.along(j, k) / in.diagonal(j);
+  const auto gradient = ratio.derivatives().head<12>();
+  return std::sqrt(std::max(0.0, gradient.dot(*result.covariance * gradient)));
+}
+
+/// Whether a magnitude is so small that its direction is not known.
+bool has_no_direction(const Quantity& magnitude) {
+  return !(magnitude.value > kCoverageFactor * magnitude.standard_uncertainty);
+}
+
+/// A small magnitude has no direction, and a derivative that depends on chance: its uncertainty is that of
+/// its two components.
+/// @param scale  of the magnitude, relative to the sensitivity along the stated direction
+void take_both_components(DerivedGroup& group, const Deriver& deriver, const CalibrationResult& result,
+                          double scale) {
   for (std::size_t j = 0; j < 3; ++j) {
-    Quantity& value = group.quantities[j].value;
-    if (value.value != 0.0) continue;
-    const double diagonal = std::abs((*result.sensitivity_matrix)[j][j].value);
-    double variance = 0.0;
-    for (const std::size_t k : {(j + 1) % 3, (j + 2) % 3})
-      variance += std::pow((*result.sensitivity_matrix)[j][k].standard_uncertainty, 2);
-    value.standard_uncertainty = scale * std::sqrt(variance) / diagonal;
-    value.type_a = value.type_b = std::nullopt;
-    group.quantities[j].gradient.setZero();
+    DerivedQuantity& quantity = group.quantities[j];
+    const double both = scale * std::hypot(u_across(deriver, result, j, j + 1),  //
+                                           u_across(deriver, result, j, j + 2));
+    if (quantity.value.value > kCoverageFactor * both) continue;
+    quantity.value.standard_uncertainty = both;
+    quantity.value.type_a = quantity.value.type_b = std::nullopt;
+    quantity.gradient.setZero();
   }
 }
 
@@ -126,13 +155,12 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
   const Inputs& in = deriver.inputs();
   DerivedGroup group = deriver.triple(
       "transverse_azimuth",
-      Message("Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
-              "from z towards x, of w from x towards y"),
+      Message("Direction of the transverse sensitivity about the stated direction, from that of the next "
+              "output: of u from v towards w, of v from w towards u, of w from u towards v"),
       "degree", kOutputNames,
-      [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
+      [&](std::size_t j) { return Real(atan2(in.along(j, j + 2), in.along(j, j + 1)) / kDegree); });
   for (std::size_t j = 0; j < 3; ++j) {
-    const Quantity& size = transverse.quantities[j].value;
-    if (size.value > kCoverageFactor * size.standard_uncertainty) continue;
+    if (!has_no_direction(transverse.quantities[j].value)) continue;
     group.quantities[j].value = Quantity{};  // any direction is as likely as any other
     group.quantities[j].value.unit = "degree";
   }
@@ -173,12 +201,12 @@ SensitivityUnit sensitivity_unit(const std::string& name, const std::string& res
   return {name, *ratio, unit.per == PerAcceleration::kStandard};
 }
 
-std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units) {
+std::vector<DerivedGroup> derive(const CalibrationResult& result, const DeriveFrom& from) {
   if (!result.sensitivity_matrix || !result.covariance)
     throw std::invalid_argument("nothing can be derived from a result without a sensitivity matrix");
   if (!std::isfinite(result.g_loc.value) || !std::isfinite(result.g_loc.standard_uncertainty))
     throw std::invalid_argument("local gravity is not known, so that nothing can be given per m/s2");
-  const Deriver deriver(result);
+  const Deriver deriver(result, from);
   const Inputs& in = deriver.inputs();
   const std::string& unit = result.response_unit;
   const Real one_per_gravity = Real(1.0) / in.g_loc;
@@ -191,15 +219,16 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                   [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
   groups.push_back(deriver.triple(
       "transverse_sensitivity",
-      Message("Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
-              "contains the mounting"),
+      Message("Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the stated direction "
+              "on the platter; it contains the mounting"),
       "%", kOutputNames, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
-  mend_zero(groups.back(), result, 100.0);
+  take_both_components(groups.back(), deriver, result, 100.0);
   groups.push_back(azimuth(deriver, groups.back()));
   groups.push_back(deriver.triple(
-      "misalignment", Message("Angle between the sensitive direction and its platter axis"), "mrad",
-      kOutputNames, [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
-  mend_zero(groups.back(), result, 1e3);
+      "misalignment", Message("Angle between the sensitive direction and the stated one on the platter"),
+      "mrad", kOutputNames,
+      [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
+  take_both_components(groups.back(), deriver, result, 1e3);
   groups.push_back(deriver.triple("non_orthogonality", Message("Intrinsic angle minus 90 degrees"), "mrad",
                                   kOutputPairs, [&](std::size_t j) {
                                     const std::size_t k = (j + 1) % 3;
@@ -212,7 +241,7 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
       "bias", Message("Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2"), "mg",
       kOutputNames,
       [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
-  for (const SensitivityUnit& wanted : units) {
+  for (const SensitivityUnit& wanted : from.units) {
     const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
     const Message words =
         wanted.per_standard_gravity
@@ -227,14 +256,36 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   return groups;
 }
 
-DerivedQuantity derived_quantity(const CalibrationResult& result, const std::string& name,
-                                 const std::string& unit, const ValueWithGradient& value) {
-  return Deriver(result).quantity(name, unit, Real(value.value, value.gradient));
+DerivedQuantity derived_quantity(const CalibrationResult& result, const DeriveFrom& from,
+                                 const std::string& name, const std::string& unit,
+                                 const ValueWithGradient& value) {
+  return Deriver(result, from).quantity(name, unit, Real(value.value, value.gradient));
 }
 
 double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b) {
   return a.gradient.head<12>().dot(*result.covariance * b.gradient.head<12>()) +
          a.gradient[12] * b.gradient[12] * std::pow(result.g_loc.standard_uncertainty, 2);
+}
+
+QuantityRange range_of_quantity(const std::string& name, const std::string& unit) {
+  constexpr double kFar = std::numeric_limits<double>::infinity();
+  const auto degrees = [&](double least, double most) {
+    const auto ratio = unit_ratio("degree", unit);
+    return ratio ? QuantityRange{least * *ratio, most * *ratio} : QuantityRange{};
+  };
+  if (name.starts_with("intrinsic_sensitivity_") || name.starts_with("transverse_sensitivity_"))
+    return {0.0, kFar};
+  if (name.starts_with("intrinsic_angle_")) return degrees(0.0, 180.0);
+  if (name.starts_with("misalignment_")) return degrees(0.0, 90.0);
+  if (name.starts_with("non_orthogonality_")) return degrees(-90.0, 90.0);
+  return {};
+}
+
+std::string to_string(const QuantityRange& range, const std::string& unit) {
+  if (std::isinf(range.least))
+    return std::isinf(range.most) ? "any" : fmt::format("{:.4g} {} or less", range.most, unit);
+  return std::isinf(range.most) ? fmt::format("{:.4g} {} or more", range.least, unit)
+                                : fmt::format("{:.4g} to {:.4g} {}", range.least, range.most, unit);
 }
 
 std::vector<std::string> names_of_quantities() {

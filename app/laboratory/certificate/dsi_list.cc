@@ -22,7 +22,12 @@ std::string factor_text(double factor, std::string_view what) {
 }
 
 std::string probability_text() {
-  return fmt::format("{}", kCoverageProbability);
+  return fmt::format("{:.4f}", kCoverageProbability);
+}
+
+/// The distribution of which k is that of kCoverageProbability.
+std::string distribution_text(double degrees_of_freedom) {
+  return std::isfinite(degrees_of_freedom) ? "Student" : "normal";
 }
 
 /// Texts one blank apart, as lists of XML schema are.
@@ -77,7 +82,7 @@ void add_covariance(XmlElement& parent, const ValueList& list, const Representat
 
 void add_real_list(XmlElement& parent, const ValueList& list, const Representation& as) {
   const Eigen::Index n = list.values.size();
-  std::vector<std::string> values, expanded, places, factors;
+  std::vector<std::string> values, expanded, places, factors, distributions;
   for (Eigen::Index i = 0; i < n; ++i) {
     const std::string& label = as.labels[static_cast<std::size_t>(i)];
     const double own = list.coverage_factor[i] * list.standard_uncertainty[i];
@@ -86,6 +91,7 @@ void add_real_list(XmlElement& parent, const ValueList& list, const Representati
     expanded.push_back(rounded.expanded);
     if (rounded.place && !list.all_digits) places.push_back(fmt::format("{}", *rounded.place));
     factors.push_back(factor_text(list.coverage_factor[i], "coverage factor of " + label));
+    distributions.push_back(distribution_text(list.degrees_of_freedom[i]));
   }
   const auto join = [&](const std::vector<std::string>& texts) {
     return listed(n, [&](Eigen::Index i) { return texts[static_cast<std::size_t>(i)]; });
@@ -99,7 +105,7 @@ void add_real_list(XmlElement& parent, const ValueList& list, const Representati
   uncertainty.add("si:valueExpandedMUXMLList", join(expanded));
   uncertainty.add("si:coverageFactorXMLList", once_or_listed(factors));
   uncertainty.add("si:coverageProbabilityXMLList", probability_text());
-  uncertainty.add("si:distributionXMLList", "normal");
+  uncertainty.add("si:distributionXMLList", once_or_listed(distributions));
   if (list.covariance) add_covariance(real, list, as);
 }
 
@@ -123,7 +129,7 @@ void add_real(XmlElement& parent, const Quantity& value, double scale, const Dsi
   expanded.add("si:valueExpandedMU", rounded.expanded);
   expanded.add("si:coverageFactor", factor_words);
   expanded.add("si:coverageProbability", probability_text());
-  expanded.add("si:distribution", "normal");
+  expanded.add("si:distribution", distribution_text(value.degrees_of_freedom));
 }
 
 /// Largest exponents of ten that are written as plain decimals.

@@ -61,7 +61,7 @@ ValueList list_of(const std::vector<std::string>& labels, const std::vector<Quan
                   std::optional<Eigen::MatrixXd> covariance = {});
 
 /// Adds the list: expanded uncertainty with its coverage factors and, if the list has a covariance, this and
-/// the factor of an ellipsoid of 95 % (JCGM 102:2011, 6.5.2.2).
+/// the factor of an ellipsoid of kCoverageProbability (JCGM 102:2011, 6.5.2.2).
 /// @throws NumberNotFinite
 void add_value_list(XmlElement& quantity, const ValueList& list);
 

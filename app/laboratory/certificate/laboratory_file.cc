@@ -9,17 +9,11 @@
 #include "app/laboratory/certificate/derived.h"
 #include "app/laboratory/certificate/iso_codes.h"
 #include "app/laboratory/certificate/words.h"
+#include "app/laboratory/register/records.h"
 #include "drivers/text/names.h"
 
 namespace abcal {
 namespace {
-
-/// Names of the rules as the file gives them.
-constexpr auto kRules =
-    names<DecisionKind>({{DecisionKind::kSimple, "simple"},
-                         {DecisionKind::kGuardBand, "guard_band"},
-                         {DecisionKind::kNonBinary, "non_binary"},
-                         {DecisionKind::kTestUncertaintyRatio, "test_uncertainty_ratio"}});
 
 void read_contact(TomlReader& keys, Contact& contact) {
   keys.required_text("name", contact.name);
@@ -49,6 +43,7 @@ void read_laboratory(TomlReader& keys, Laboratory& laboratory, std::string& lang
   keys.number("latitude_deg", laboratory.latitude_deg, {-90.0, 90.0});
   keys.number("longitude_deg", laboratory.longitude_deg, {-180.0, 180.0});
   keys.number("height_m", laboratory.height_m, {-500.0, 9000.0});
+  keys.text("record_of_own_item", laboratory.record_of_own_item, {"refused", "stated"});
   if (laboratory.latitude_deg.has_value() != laboratory.longitude_deg.has_value())
     keys.add_missing(laboratory.latitude_deg ? "longitude_deg" : "latitude_deg", "both, or neither");
 }
@@ -112,9 +107,9 @@ void read_equipment(TomlReader& keys, std::vector<Equipment>& equipment) {
     keys.text("maker", one.maker);
     keys.text("model", one.model);
     keys.required_text("serial_number", one.serial_number);
-    keys.required_text(
-        "quantity", one.quantity,
-        {"angle", "gravity", "voltage", "temperature", "humidity", "pressure", "level", "other"});
+    keys.required_text("quantity", one.quantity,
+                       {"angle", "gravity", "voltage", "temperature", "humidity", "pressure", "level",
+                        lab::kStageRecordQuantity, "other"});
     keys.required_text("certificate", one.certificate);
     keys.required_text("certificate_issuer", one.certificate_issuer);
     keys.text("certificate_sha256", one.certificate_sha256);
@@ -122,6 +117,8 @@ void read_equipment(TomlReader& keys, std::vector<Equipment>& equipment) {
     keys.date("due", one.due);
     if (one.performed && one.due && *one.due < *one.performed)
       keys.add_problem_at(one.line, "equipment.due", format_date(*one.due), "not before it was performed");
+    if (one.quantity == lab::kStageRecordQuantity && one.certificate_sha256.empty())
+      keys.add_missing("certificate_sha256", "the SHA-256 of the record, which `abcal stage show` prints");
     if (!keys.has("due")) keys.add_missing("due", "the date until which its calibration holds, 2027-03-01");
   });
   const auto angle = [](const Equipment& one) { return one.quantity == "angle"; };
@@ -135,11 +132,11 @@ void read_decision(TomlReader& keys, LaboratoryFile& file) {
   keys.section("decision");
   DecisionRule rule;
   std::string kind;
-  keys.text("rule", kind, kRules.all());
+  keys.text("rule", kind, kDecisionRules.all());
   keys.number("guard_factor", rule.guard_factor, {-1.0, 10.0});
   keys.text("agreement", rule.agreement);
   if (!kind.empty()) {
-    rule.kind = kRules.value(kind).value_or(rule.kind);
+    rule.kind = kDecisionRules.value(kind).value_or(rule.kind);
     if (rule.agreement.empty())
       keys.add_missing("agreement", "where the customer agreed to the rule before measuring");
     if (rule.kind == DecisionKind::kNonBinary && !(rule.guard_factor >= 0.0))
@@ -161,12 +158,20 @@ void read_decision(TomlReader& keys, LaboratoryFile& file) {
     if (limit.lower && limit.upper && !(*limit.lower < *limit.upper))
       keys.add_problem_at(limit.line, "limit.lower", fmt::format("{} to {}", *limit.lower, *limit.upper),
                           "lower < upper");
+    const QuantityRange range = range_of_quantity(limit.quantity, limit.unit);
+    for (const auto& [name, bound] : {std::pair("lower", limit.lower), std::pair("upper", limit.upper)})
+      if (bound && !(*bound >= range.least && *bound <= range.most))
+        keys.add_problem_at(
+            limit.line, fmt::format("limit.{}", name),
+            fmt::format("{} {} for {}", *bound, limit.unit, limit.quantity),
+            fmt::format("a value that the quantity can have, {}", to_string(range, limit.unit)));
     if (rule.kind == DecisionKind::kTestUncertaintyRatio && !(keys.has("lower") && keys.has("upper")))
       keys.add_missing(keys.has("lower") ? "upper" : "lower",
                        "both limits, for rule \"test_uncertainty_ratio\"");
   });
   if (!file.limits.empty() && !file.decision)
-    keys.add_problem("decision.rule", "nothing, though limits are given", "one of " + joined(kRules.all()));
+    keys.add_problem("decision.rule", "nothing, though limits are given",
+                     "one of " + joined(kDecisionRules.all()));
 }
 
 void read_scope(TomlReader& keys, std::vector<ScopeLimit>& scope) {

@@ -35,6 +35,9 @@ struct Laboratory {
   std::string performance_location = "laboratory";              ///< Name in the schema of the certificate.
   std::string gravity_site;                                     ///< Where exactly g_loc holds, in words.
   std::optional<double> latitude_deg, longitude_deg, height_m;  ///< WGS 84; height above the ellipsoid.
+  /// How a result is treated whose record of the stage was learned from the item itself: "refused", or
+  /// "stated" on the certificate.
+  std::string record_of_own_item = "refused";
 };
 
 /// A person of the laboratory, with rights.
@@ -43,7 +46,9 @@ struct Person {
   std::vector<std::string> may;  ///< "measure", "approve"
 };
 
-/// An instrument of the measurement, and its own calibration.
+/// An instrument of the measurement, and its own calibration. A record of a stage (lab::kStageRecordQuantity)
+/// is equipment as well: its certificate is the record, with its number, issued by the person who approved
+/// it.
 struct Equipment {
   std::string name, maker, model, serial_number;
   std::string

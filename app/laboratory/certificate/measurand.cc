@@ -26,10 +26,9 @@ std::string label_of(std::size_t row, std::size_t column) {
 
 /// "maker, model", in the words of the certificate.
 std::string names_of(const Words& words, const ItemIdentityParts& parts, KnownBy known_by) {
-  const std::array names{words("Manufacturer"), words("Type"), words("Serial number")};
   std::string text;
   for (std::size_t i = 0; i < parts.size(); ++i)
-    if (parts[i].known_by() == known_by) text += (text.empty() ? "" : ", ") + names[i].text;
+    if (parts[i].known_by() == known_by) text += (text.empty() ? "" : ", ") + words(kIdentityWords[i]).text;
   return text;
 }
 
@@ -56,12 +55,13 @@ std::optional<CustomerEquation> customer_equation(const StatedResult& stated) {
   // M is a function of S / g_loc, so that its derivative by S at constant g_loc is g_loc times smaller.
   Eigen::Matrix<double, 12, 12> by_outputs = derivatives.leftCols<12>();
   by_outputs.leftCols<9>() *= result.g_loc.value;
-  equation.covariance = by_outputs * covariance_of_outputs(stated) * by_outputs.transpose();
+  equation.covariance =
+      by_outputs * covariance_of_outputs(stated, *result.covariance) * by_outputs.transpose();
   if (!correction.M.allFinite() || !equation.covariance.allFinite()) return std::nullopt;
 
   for (Eigen::Index i = 0; i < 9; ++i) {
     const auto row = static_cast<std::size_t>(i / 3), column = static_cast<std::size_t>(i % 3);
-    equation.M.push_back(derived_quantity(result, label_of(row, column),
+    equation.M.push_back(derived_quantity(result, stated.from(), label_of(row, column),
                                           correction_unit(result.response_unit),
                                           {correction.M(i / 3, i % 3), derivatives.row(i).transpose()}));
     Quantity& value = equation.M.back().value;
@@ -75,12 +75,13 @@ Statement measurand_statement(const Words& words) {
   statement.ref_type = "abc_measurand";
   statement.title = words("Measurand");
   statement.text = words(
-      "The sensitivity matrix S and the offsets O are the line response of the item: the straight line "
-      "r = S a + O that fits its outputs r best, by least squares, over all directions of an "
-      "acceleration a of the size of local gravity, at the temperature that is stated among the "
-      "conditions. S is not the slope at zero acceleration: a cubic term k3 of the output, relative to "
-      "the sensitivity at local gravity, makes S larger than this slope by 3/5 k3, and a quadratic term "
-      "k2 makes O larger than the output at zero acceleration by 1/3 k2 of the sensitivity.");
+      "The sensitivity matrix S and the offsets O are the line response of the item: the straight line r = S "
+      "a + O that fits its outputs r best, by least squares, over all directions of an acceleration a of the "
+      "size of local gravity, in the middle of the item's temperatures among the conditions, or of those of "
+      "the room where its own were not read; these are as they were read. S is not the slope at "
+      "zero acceleration: a cubic term k3 of the output, relative to the sensitivity at local gravity, makes "
+      "S larger than this slope by 3/5 k3, and a quadratic term k2 makes O larger than the output at zero "
+      "acceleration by 1/3 k2 of the sensitivity.");
   return statement;
 }
 
@@ -107,13 +108,12 @@ std::vector<std::string> equation_labels() {
 }
 
 void add_customer_equation(XmlElement& results, const Words& words, const CustomerEquation& equation) {
-  XmlElement data = add_result(
-      results, "abc_customerEquation", words("Equation for use"),
-      words(
-          "a = M (r − b): a is the acceleration (specific force) along x, y, z of the platter, r are the "
-          "three outputs, b are the offsets O, and M is the inverse of S. M contains the orientation of the "
-          "item on the platter. For an item that is mounted in another way, use the intrinsic "
-          "sensitivities, angles and offsets."));
+  XmlElement data =
+      add_result(results, "abc_customerEquation", words("Equation for use"),
+                 words("a = M (r − b): a is the acceleration (specific force) along x, y, z of the platter, "
+                       "r are the three outputs, b are the offsets O, and M is the inverse of S. M contains "
+                       "the orientation of the item on the platter. For an item that is mounted in another "
+                       "way, use the intrinsic sensitivities, angles and offsets."));
   XmlElement list = data.add("dcc:list");
   list.attribute("refType", "abc_matrix3x3");
   for (std::size_t row = 0; row < 3; ++row) {
@@ -191,8 +191,8 @@ Section mounting_section(const PageSource& from) {
   if (const auto directions = mounting_matrix(axes))
     section.blocks.emplace_back(mounting_figure(
         *directions,
-        {from.say("Stated mounting: u, v, w of the item, and x, y, z of the platter at the default "
-                  "orientation."),
+        {from.say(
+             "Stated mounting: u, v, w of the item, and x, y, z of the platter at the default orientation."),
          from.say("platter"), from.say("up")}));
   return section;
 }

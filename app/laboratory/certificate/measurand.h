@@ -21,6 +21,9 @@ struct CustomerEquation {
   Covariance12 covariance = Covariance12::Zero();
 };
 
+/// Names of the parts of an item's identity, in their order.
+inline constexpr Term kIdentityWords[]{"Manufacturer", "Type", "Serial number"};
+
 /// Unit of the elements of M: "(m/s2)/V".
 std::string correction_unit(const std::string& response_unit);
 
@@ -34,7 +37,7 @@ std::optional<CustomerEquation> customer_equation(const StatedResult& stated);
 Statement measurand_statement(const Words& words);
 Statement identity_statement(const Words& words, const ReportData& data);
 
-/// Adds the result abc_customerEquation: M with its uncertainties. Its correlations are among the others.
+/// Adds the result abc_customerEquation: M with its uncertainties. Its covariance is in the state.
 void add_customer_equation(XmlElement& results, const Words& words, const CustomerEquation& equation);
 
 /// Labels of M row by row and b.

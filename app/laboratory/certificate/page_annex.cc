@@ -6,9 +6,11 @@
 #include <map>
 #include <utility>
 
+#include "app/laboratory/certificate/dcc_state.h"
 #include "app/laboratory/certificate/page_numbers.h"
 #include "app/laboratory/certificate/page_parts.h"
 #include "app/laboratory/certificate/scope.h"
+#include "protocol/quantities/output_names.h"
 
 namespace abcal {
 
@@ -145,13 +147,17 @@ namespace {
 /// Results that no page has yet, but for those with a form of their own.
 Section remaining_results(const PageSource& from, xmlNode* measurement,
                           const std::vector<std::string>& shown) {
-  static const std::array<std::string_view, 11> kElsewhere{
-      "abc_sensitivityMatrix", "abc_intrinsicSensitivities",
-      "abc_intrinsicAngles",   "abc_offsets",
-      "abc_conformity",        "abc_shift",
-      "abc_correlations",      "abc_budget",
-      "abc_noResult",          "abc_customerEquation",
-      "abc_responseAtRates"};
+  static const std::array<std::string_view, 11> kElsewhere{"abc_sensitivityMatrix",
+                                                           "abc_intrinsicSensitivities",
+                                                           "abc_intrinsicAngles",
+                                                           "abc_offsets",
+                                                           "abc_conformity",
+                                                           "abc_shift",
+                                                           kStateType,
+                                                           "abc_budget",
+                                                           "abc_noResult",
+                                                           "abc_customerEquation",
+                                                           "abc_responseAtRates"};
   DocumentTable table = value_table(from);
   table.may_break = true;
   for (xmlNode* result : from.xml.nodes("dcc:results/dcc:result", measurement)) {
@@ -230,10 +236,13 @@ std::vector<std::string> worst_outputs(const std::vector<std::map<std::string, s
   std::map<std::string, double> squares;
   for (const auto& line : lines)
     for (const auto& [label, value] : line) squares[label] += std::pow(number_in_xml(value), 2);
-  std::map<std::string, std::pair<double, std::string>> worst;
+  // For each three of kOutputSymbols the place of their kind: matrix (nine), intrinsic s, O, phi; then
+  // others.
+  constexpr std::array kPlaceOfKind{0, 0, 0, 2, 1, 3, 4};
+  std::map<int, std::pair<double, std::string>> worst;
   for (const auto& [label, sum] : squares) {
-    const std::string kind = label.starts_with("s_") ? (label.size() == 4 ? "1" : "2") : label.substr(0, 1);
-    auto& best = worst[kind];
+    const auto symbol = std::ranges::find(kOutputSymbols, label);
+    auto& best = worst[kPlaceOfKind.at(static_cast<std::size_t>(symbol - kOutputSymbols.begin()) / 3)];
     if (best.second.empty() || sum > best.first) best = {sum, label};
   }
   std::vector<std::string> labels;
@@ -303,34 +312,12 @@ Section budget_section(const PageSource& from, xmlNode* measurement) {
     }
     table.rows.push_back(std::move(row));
   }
-  section.blocks.push_back(
-      Paragraph{from.content("dcc:description", results.front()) + " " +
-                from.say("Shown are the outputs with the largest uncertainty of each kind; the "
-                         "XML has all.")});
+  section.blocks.push_back(Paragraph{
+      from.content("dcc:description", results.front()) + " " +
+      from.say("Shown are the outputs with the largest uncertainty of each kind; the XML has all.")});
   section.blocks.emplace_back(std::move(table));
   if (FactList sources = sources_of(from, lines); !sources.facts.empty())
     section.blocks.emplace_back(std::move(sources));
-  return section;
-}
-
-Section correlation_section(const PageSource& from, xmlNode* measurement) {
-  Section section{from.say("Coefficients of correlation"), {}};
-  for (xmlNode* list :
-       from.xml.nodes("dcc:results/dcc:result[@refType='abc_correlations']/dcc:data/dcc:list", measurement)) {
-    DocumentTable table;
-    table.dense = table.may_break = true;
-    table.caption = from.content("dcc:name", list);
-    table.columns = {{"", CellKind::kSymbol}};
-    for (xmlNode* quantity : from.xml.nodes("dcc:quantity", list)) {
-      const std::vector<PageValue> values = values_of(from, quantity);
-      std::vector<std::string> row{from.content("dcc:name", quantity)};
-      for (const PageValue& value : values) row.push_back(value.value);
-      table.rows.push_back(std::move(row));
-    }
-    for (const std::vector<std::string>& row : table.rows)
-      table.columns.push_back({row.front(), CellKind::kNumber});
-    section.blocks.emplace_back(std::move(table));
-  }
   return section;
 }
 
@@ -357,9 +344,9 @@ Section further_statements(const PageSource& from) {
   FactList list;
   for (xmlNode* statement : from.xml.nodes("dcc:administrativeData/dcc:statements/dcc:statement")) {
     const std::string ref_type = owned_text(xmlGetProp(statement, as_xml("refType")));
-    static const std::array<std::string_view, 9> kHere{
-        "abc_draft", "abc_training",   "abc_simulated",  "abc_replayed",    "abc_traceability",
-        "abc_unit",  "abc_notCovered", "abc_outputUnit", "abc_decisionRule"};
+    static const std::array<std::string_view, 10> kHere{
+        "abc_draft", "abc_training",   "abc_simulated",  "abc_replayed",     "abc_traceability",
+        "abc_unit",  "abc_notCovered", "abc_outputUnit", "abc_decisionRule", "abc_runs"};
     if (std::find(kHere.begin(), kHere.end(), ref_type) == kHere.end()) continue;
     std::string text = from.sentences("dcc:declaration", statement);
     for (const std::string& line : from.xml.texts("dcc:norm | dcc:reference", statement))
@@ -389,11 +376,10 @@ Section record_section(const PageSource& from, xmlNode* measurement) {
 std::vector<Section> annex_sections(const PageSource& from, xmlNode* measurement,
                                     const std::vector<std::string>& shown) {
   std::vector<Section> all;
-  for (Section& section :
-       std::array{remaining_results(from, measurement, shown), raised_section(from, measurement),
-                  method_section(from, measurement), budget_section(from, measurement),
-                  correlation_section(from, measurement), instrument_section(from, measurement),
-                  further_statements(from), record_section(from, measurement)})
+  for (Section& section : std::array{remaining_results(from, measurement, shown),
+                                     raised_section(from, measurement), method_section(from, measurement),
+                                     budget_section(from, measurement), instrument_section(from, measurement),
+                                     further_statements(from), record_section(from, measurement)})
     if (!section.blocks.empty()) all.push_back(std::move(section));
   return all;
 }

@@ -132,11 +132,10 @@ std::vector<Figure> figures_of(const PageSource& from, xmlNode* series) {
     std::vector<BandPanel> panels;
     for (std::size_t k = first; k < first + 3; ++k)
       panels.push_back(panel_of(from, polynomials.at(k), range, points, k));
-    figures.push_back(band_figure(
-        title + " " +
-            from.say("Open triangles: way up, filled ones: way down; band: k = 2 times the standard "
-                     "uncertainty of the polynomial."),
-        from.say("T (°C)"), panels));
+    figures.push_back(band_figure(title + " " +
+                                      from.say("Open triangles: way up, filled ones: way down; band: k = 2 "
+                                               "times the standard uncertainty of the polynomial."),
+                                  from.say("T (°C)"), panels));
   }
   return figures;
 }

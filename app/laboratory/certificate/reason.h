@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {

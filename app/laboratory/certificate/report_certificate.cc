@@ -58,6 +58,13 @@ std::vector<ReportData> gather_series(const std::vector<std::string>& paths, con
   return points;
 }
 
+std::vector<ReportData> gather_runs(const ReportData& data, Clock::UtcTime now) {
+  std::vector<ReportData> runs;
+  for (const RunOfMeasurement& run : data.all->runs)
+    runs.push_back(gather_report(run.file, now, run.items.at(static_cast<std::size_t>(data.item) - 1).item));
+  return runs;
+}
+
 std::string certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
                                    Clock::UtcTime now) {
   std::optional<ReportData> as_found;
@@ -81,6 +88,7 @@ std::string certificate_for_report(const ReportData& data, const CertificateFile
   request.run = data;
   request.as_found = std::move(as_found);
   add_monte_carlo(request);
+  request.together = gather_runs(data, now);
   request.series = std::move(series);
   request.draft = draft;
   return checked_xml(make_certificate(std::move(request)), &schema);

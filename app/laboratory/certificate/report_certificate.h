@@ -35,6 +35,9 @@ ReportData gather_same_item(const char* option, const std::filesystem::path& pat
 std::vector<ReportData> gather_series(const std::vector<std::string>& paths, const ReportData& of,
                                       Clock::UtcTime now);
 
+/// Reads the runs of a measurement, for the item that it is of; none, if it is one run.
+std::vector<ReportData> gather_runs(const ReportData& data, Clock::UtcTime now);
+
 /// The XML of a run's certificate: of the one that was issued, byte for byte, or else of a draft from the
 /// laboratory file.
 /// @param data   the run; it is copied into the certificate

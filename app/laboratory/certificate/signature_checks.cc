@@ -11,6 +11,7 @@
 #include "app/laboratory/certificate/sign.h"
 #include "app/laboratory/certificate/signing_certificate.h"
 #include "app/system/read_file.h"
+#include "drivers/text/message.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -144,19 +145,19 @@ std::string certificate_of_signature(const std::string& xml, const std::string& 
   // Only the signature may be added: anything else that the approver adds and signs was never shown to
   // anybody.
   if (!std::string_view(signed_xml).starts_with(before) || parts(signed_xml) > parts(xml) + 1)
-    throw std::invalid_argument(
-        "the file is not the certificate that was to be signed; required: that file, unchanged, with a "
-        "signature (abcal lab sign)");
+    throw Telling<std::invalid_argument>(
+        Message("the file is not the certificate that was to be signed; required: that file, unchanged, with "
+                "a signature (abcal lab sign)"));
   const std::string pem = certificate_in(signed_xml);
   if (pem.empty())
-    throw std::invalid_argument(
-        "the file has no signature with an X.509 certificate; required: that of the approver (abcal lab "
-        "sign)");
+    throw Telling<std::invalid_argument>(
+        Message("the file has no signature with an X.509 certificate; required: that of the approver (abcal "
+                "lab sign)"));
   const SignatureForm form = form_of(signed_xml, pem);
   if (!form.signs_all)
-    throw std::invalid_argument(
-        "the signature is of another kind; required: of the whole certificate, enveloped, SHA-256, exclusive "
-        "canonicalisation (abcal lab sign)");
+    throw Telling<std::invalid_argument>(
+        Message("the signature is of another kind; required: of the whole certificate, enveloped, SHA-256, "
+                "exclusive canonicalisation (abcal lab sign)"));
   if (const std::string why_not = form.why_not(); !why_not.empty())
     throw std::invalid_argument("the signature: " + why_not);
   if (const std::string why_not = why_signature_fails(signed_xml, pem); !why_not.empty())
@@ -187,8 +188,15 @@ std::vector<IntegrityCheck> check_printed_certificate(const std::filesystem::pat
   const bool is_same = attached == current.xml;
   checks.push_back({name + ", XML inside", is_same,
                     is_same ? "is certificate " + current.number : "is not certificate " + current.number});
-  const DetachedSignature signature = check_detached(read_file(pdf), read_file(signature_path_of(pdf)));
   const std::string what = signature_path_of(pdf).filename().string();
+  if (!std::filesystem::exists(signature_path_of(pdf))) {
+    checks.push_back(
+        {what, false,
+         "is not there: nobody signed the pages, so that nothing says that they show the XML "
+         "inside; make them again from it (abcal report --pdf), or sign them (abcal issue --sign)"});
+    return checks;
+  }
+  const DetachedSignature signature = check_detached(read_file(pdf), read_file(signature_path_of(pdf)));
   checks.push_back(signature.good ? judged(what, signature.certificate_pem, current.approved_by, keys)
                                   : IntegrityCheck{what, false, signature.why_not});
   return checks;

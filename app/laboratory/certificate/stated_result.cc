@@ -1,166 +1,105 @@
 #include "app/laboratory/certificate/stated_result.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <stdexcept>
 
+#include "app/laboratory/certificate/raised_covariance.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
 
-using Scope = std::vector<ScopeLimit>;
-using NineFactors = Eigen::Matrix<double, 9, 1>;
-
-/// A quantity of the result with its name as in a laboratory file.
+/// A quantity of the result with its name as in a laboratory file and its derivatives by the twelve outputs.
 struct NamedOutput {
   std::string name;
   Quantity* quantity;
+  Eigen::Matrix<double, 12, 1> gradient;
   int output;  ///< As in study_output.h.
-};
-
-/// The uncertainties below which no statement goes.
-struct Least {
-  const Scope& scope;                       ///< That of the laboratory: CMC.
-  const CertifiedUncertainty* monte_carlo;  ///< Null: none.
 };
 
 std::vector<NamedOutput> twelve_outputs(CalibrationResult& result) {
   std::vector<NamedOutput> all;
+  const auto add = [&](const std::string& name, Quantity& quantity) {
+    const auto i = static_cast<Eigen::Index>(all.size());
+    all.push_back({name, &quantity, Eigen::Matrix<double, 12, 1>::Unit(i), static_cast<int>(i)});
+  };
   for (std::size_t j = 0; j < 3; ++j)
     for (std::size_t k = 0; k < 3; ++k)
-      all.push_back({std::string("sensitivity_") + kOutputNames[j] + kPlatterAxes[k],
-                     &(*result.sensitivity_matrix)[j][k], static_cast<int>(3 * j + k)});
-  for (std::size_t j = 0; j < 3; ++j)
-    all.push_back(
-        {std::string("offset_") + kOutputNames[j], &result.offset[j], kFirstOffset + static_cast<int>(j)});
+      add(std::string("sensitivity_") + kOutputNames[j] + kPlatterAxes[k],
+          (*result.sensitivity_matrix)[j][k]);
+  for (std::size_t j = 0; j < 3; ++j) add(std::string("offset_") + kOutputNames[j], result.offset[j]);
   return all;
 }
 
-std::vector<NamedOutput> nine_outputs(CalibrationResult& result) {
+std::vector<NamedOutput> intrinsic_outputs(CalibrationResult& result) {
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
   std::vector<NamedOutput> all;
-  for (int j = 0; j < 3; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    all.push_back({std::string("intrinsic_sensitivity_") + kOutputNames[at],
-                   &result.intrinsic_sensitivity[at], kFirstIntrinsicSensitivity + j});
-  }
-  for (int j = 0; j < 3; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    all.push_back({std::string("intrinsic_angle_") + kOutputPairs[at], &result.intrinsic_angle[at],
-                   kFirstIntrinsicAngle + j});
-  }
-  for (int j = 0; j < 3; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    all.push_back({std::string("offset_") + kOutputNames[at], &result.offset[at], kFirstOffset + j});
-  }
+  for (std::size_t j = 0; j < 3; ++j)
+    all.push_back({std::string("intrinsic_sensitivity_") + kOutputNames[j], &result.intrinsic_sensitivity[j],
+                   jacobian.row(static_cast<Eigen::Index>(j)),
+                   kFirstIntrinsicSensitivity + static_cast<int>(j)});
+  for (std::size_t j = 0; j < 3; ++j)
+    all.push_back({std::string("intrinsic_angle_") + kOutputPairs[j], &result.intrinsic_angle[j],
+                   jacobian.row(static_cast<Eigen::Index>(3 + j)),
+                   kFirstIntrinsicAngle + static_cast<int>(j)});
   return all;
 }
 
-/// The standard uncertainty that the scope asks for; 0: any.
-double least_uncertainty(const Scope& scope, const CalibrationResult& result, const std::string& name,
-                         const Quantity& quantity) {
-  const auto cmc = smallest_uncertainty(scope, result, name, quantity);
-  return cmc ? *cmc / coverage_factor(quantity) : 0.0;
-}
-
-void set_uncertainty(Quantity& quantity, double u) {
-  quantity.standard_uncertainty = u;
+void set_uncertainty(Quantity& quantity, double variance) {
+  quantity.standard_uncertainty = std::sqrt(std::max(0.0, variance));
   if (quantity.type_a && quantity.type_b)
-    quantity.type_b = std::sqrt(std::max(0.0, u * u - *quantity.type_a * *quantity.type_a));
+    quantity.type_b = std::sqrt(std::max(0.0, variance - *quantity.type_a * *quantity.type_a));
 }
 
-/// Raises outputs and their covariance. @return d of each
-template <class Matrix>
-std::vector<double> raise(const Least& wanted, const CalibrationResult& result,
-                          const std::vector<NamedOutput>& outputs, Matrix& covariance) {
-  std::vector<double> factors;
-  for (std::size_t n = 0; n < outputs.size(); ++n) {
-    Quantity& quantity = *outputs[n].quantity;
-    const double u = quantity.standard_uncertainty;
-    double least = least_uncertainty(wanted.scope, result, outputs[n].name, quantity);
-    if (wanted.monte_carlo != nullptr)
-      least = std::max(
-          least, wanted.monte_carlo->standard_uncertainty(outputs[n].output, coverage_factor(quantity)));
-    factors.push_back(1.0);
-    if (!(least > u)) continue;
-    const auto i = static_cast<Eigen::Index>(n);
-    set_uncertainty(quantity, least);
-    if (!(u > 0.0)) {
-      covariance(i, i) = least * least;
-      continue;
-    }
-    factors.back() = least / u;
-    covariance.row(i) *= least / u;
-    covariance.col(i) *= least / u;
-  }
-  return factors;
+/// Gives the result another covariance of its outputs: what exceeds its type A is of type B.
+void set_covariance(CalibrationResult& result, const Covariance12& covariance) {
+  result.covariance = covariance;
+  if (result.covariance_type_a) result.covariance_type_b = covariance - *result.covariance_type_a;
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
+  result.covariance_intrinsic = jacobian * covariance * jacobian.transpose();
+  if (result.covariance_intrinsic_type_a)
+    result.covariance_intrinsic_type_b = *result.covariance_intrinsic - *result.covariance_intrinsic_type_a;
+  for (const auto& outputs : {twelve_outputs(result), intrinsic_outputs(result)})
+    for (const NamedOutput& one : outputs)
+      set_uncertainty(*one.quantity, one.gradient.dot(covariance * one.gradient));
 }
 
-bool any_raised(const std::vector<double>& factors) {
-  return std::any_of(factors.begin(), factors.end(), [](double factor) { return factor > 1.0; });
-}
-
-/// Raises the result itself. @return factors of the nine intrinsic outputs beyond the raise of the twelve
-NineFactors raise_result(CalibrationResult& result, const Least& least) {
-  const std::vector<NamedOutput> twelve = twelve_outputs(result);
-  const bool by_monte_carlo = least.monte_carlo != nullptr && least.monte_carlo->any_larger();
-  if (by_monte_carlo) {
-    result.covariance = least.monte_carlo->covariance(*result.covariance);
-    for (std::size_t n = 0; n < twelve.size(); ++n) {
-      const auto i = static_cast<Eigen::Index>(n);
-      set_uncertainty(*twelve[n].quantity, std::sqrt((*result.covariance)(i, i)));
+/// Takes the U of the Monte Carlo where that is larger.
+void take(const CertifiedUncertainty& monte_carlo, CalibrationResult& result) {
+  if (!monte_carlo.any_larger()) return;
+  std::vector<LeastVariance> least;
+  for (const auto& outputs : {twelve_outputs(result), intrinsic_outputs(result)}) {
+    for (const NamedOutput& one : outputs) {
+      const double u = monte_carlo.standard_uncertainty(one.output, coverage_factor(*one.quantity));
+      least.push_back({one.name, one.gradient, u * u});
     }
   }
-  const bool changed = any_raised(raise(least, result, twelve, *result.covariance)) || by_monte_carlo;
-  std::vector<NamedOutput> nine = nine_outputs(result);
-  if (changed) {
-    const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
-    result.covariance_intrinsic = jacobian * *result.covariance * jacobian.transpose();
-    for (std::size_t n = 0; n < nine.size(); ++n) {
-      const auto i = static_cast<Eigen::Index>(n);
-      set_uncertainty(*nine[n].quantity, std::sqrt(std::max(0.0, (*result.covariance_intrinsic)(i, i))));
-    }
-  }
-  const std::vector<double> factors = raise(least, result, nine, *result.covariance_intrinsic);
-  return Eigen::Map<const NineFactors>(factors.data());
+  set_covariance(result, raised_covariance(monte_carlo.covariance(*result.covariance), least));
 }
 
-/// Factor of an output for a quantity that is one of the nine in another unit.
-double factor_of_nine(const NineFactors& factors, const std::string& name) {
-  const std::string last = name.substr(name.rfind('_') + 1);
-  const auto place = [&](const auto& names) {
-    return static_cast<Eigen::Index>(std::find(names.begin(), names.end(), last) - names.begin());
+/// The variances that the scope asks of the outputs, for every quantity that the certificate states.
+std::vector<LeastVariance> wanted_by(const std::vector<ScopeLimit>& scope, StatedResult& stated) {
+  std::vector<LeastVariance> least;
+  CalibrationResult& result = stated.result;
+  const auto add = [&](const std::string& name, const Quantity& quantity,
+                       const Eigen::Matrix<double, 12, 1>& gradient, double by_gravity) {
+    const auto cmc = smallest_uncertainty(scope, result, name, quantity);
+    if (!cmc) return;
+    const double u = *cmc / coverage_factor(quantity);
+    least.push_back({name, gradient, u * u - by_gravity * by_gravity});
   };
-  if (name.starts_with("intrinsic_sensitivity_")) return factors[place(kOutputNames)];
-  if (name.starts_with("non_orthogonality_")) return factors[3 + place(kOutputPairs)];
-  return 1.0;
+  for (const auto& outputs : {twelve_outputs(result), intrinsic_outputs(result)})
+    for (const NamedOutput& one : outputs) add(one.name, *one.quantity, one.gradient, 0.0);
+  for (const DerivedGroup& group : stated.derived)
+    for (const DerivedQuantity& one : group.quantities)
+      add(one.name, one.value, one.gradient.head<12>(), one.gradient[12] * result.g_loc.standard_uncertainty);
+  return least;
 }
 
-/// Derived quantities have the uncertainty of the raised outputs, and never less than the scope's. Their
-/// degrees of freedom stay those of the measurement.
-void raise_derived(StatedResult& stated, const StatedResult& as_measured, const Scope& scope,
-                   const NineFactors& factors) {
-  for (std::size_t g = 0; g < stated.derived.size(); ++g) {
-    for (std::size_t q = 0; q < stated.derived[g].quantities.size(); ++q) {
-      DerivedQuantity& quantity = stated.derived[g].quantities[q];
-      Quantity& value = quantity.value;
-      value.degrees_of_freedom = as_measured.derived[g].quantities[q].value.degrees_of_freedom;
-      if (const double factor = factor_of_nine(factors, quantity.name); factor > 1.0) {
-        quantity.gradient.head<12>() *= factor;
-        set_uncertainty(value, std::sqrt(covariance_of(stated.result, quantity, quantity)));
-      }
-      const double u = value.standard_uncertainty,
-                   least = least_uncertainty(scope, stated.result, quantity.name, value);
-      if (!(least > u)) continue;
-      if (u > 0.0) quantity.gradient *= least / u;
-      set_uncertainty(value, least);
-    }
-  }
-}
-
-void add_marks(StatedResult& stated, const StatedResult& as_measured, const Scope& scope) {
+void add_marks(StatedResult& stated, const StatedResult& as_measured, const std::vector<ScopeLimit>& scope) {
   std::vector<std::string> names = names_of_quantities();
   for (const char* axis : kOutputNames) names.push_back(std::string("transverse_azimuth_") + axis);
   constexpr double kRounding = 1e-9;
@@ -182,36 +121,42 @@ ScopeMark StatedResult::mark(const std::string& name) const {
   return found == marks.end() ? ScopeMark::kNone : found->second;
 }
 
-StatedResult stated_result(const CalibrationResult& result, const std::vector<SensitivityUnit>& units,
-                           const std::vector<ScopeLimit>& scope, bool accredited,
-                           const CertifiedUncertainty* monte_carlo) {
-  const StatedResult as_computed{result, derive(result, units), {}};
-  const auto raised = [&](const Scope& to) {
-    StatedResult stated{result, {}, {}};
-    const NineFactors factors = raise_result(stated.result, {to, monte_carlo});
-    stated.derived = derive(stated.result, units);
-    raise_derived(stated, as_computed, to, factors);
-    return stated;
-  };
-  const StatedResult as_measured =
-      monte_carlo != nullptr && monte_carlo->any_larger() ? raised({}) : as_computed;
-  if (scope.empty() && !accredited) return as_measured;
-  StatedResult stated = raised(scope);
-  add_marks(stated, as_measured, scope);
+const std::vector<DerivedQuantity>& StatedResult::group(std::string_view name) const {
+  const auto found =
+      std::find_if(derived.begin(), derived.end(), [&](const DerivedGroup& one) { return one.name == name; });
+  if (found == derived.end()) throw std::logic_error("nothing was derived as " + std::string(name));
+  return found->quantities;
+}
+
+StatedResult stated_result(const CalibrationResult& result, const HowStated& how) {
+  StatedResult stated;
+  stated.result = result;
+  if (const auto mounting = mounting_matrix(how.mounting)) stated.mounting = *mounting;
+  if (how.monte_carlo != nullptr) take(*how.monte_carlo, stated.result);
+  if (stated.result.covariance) stated.measured = *stated.result.covariance;
+  stated.derived = derive(stated.result, stated.from(how.units));
+  if (how.scope.empty() && !how.accredited) return stated;
+  const StatedResult as_measured = stated;
+  if (const std::vector<LeastVariance> least = wanted_by(how.scope, stated); !least.empty()) {
+    const Covariance12 raised = raised_covariance(*stated.result.covariance, least);
+    if (raised != *stated.result.covariance) {
+      set_covariance(stated.result, raised);
+      stated.derived = derive(stated.result, stated.from(how.units));
+    }
+  }
+  add_marks(stated, as_measured, how.scope);
   return stated;
 }
 
-Covariance12 covariance_of_outputs(const StatedResult& stated) {
-  const auto group = std::find_if(stated.derived.begin(), stated.derived.end(),
-                                  [](const DerivedGroup& one) { return one.name == "sensitivity"; });
-  if (group == stated.derived.end()) throw std::logic_error("a result without numbers has no covariance");
-  std::vector<DerivedQuantity> outputs = group->quantities;
-  for (Eigen::Index j = 9; j < 12; ++j)
-    outputs.emplace_back().gradient.head<12>() = Eigen::Matrix<double, 12, 1>::Unit(j);
-  return Covariance12::NullaryExpr([&](Eigen::Index i, Eigen::Index j) {
-    return covariance_of(stated.result, outputs[static_cast<std::size_t>(i)],
-                         outputs[static_cast<std::size_t>(j)]);
-  });
+Covariance12 covariance_of_outputs(const StatedResult& stated, const Covariance12& outputs) {
+  const std::vector<DerivedQuantity>& sensitivities = stated.group("sensitivity");
+  Eigen::Matrix<double, 12, 13> in_si = Eigen::Matrix<double, 12, 13>::Zero();
+  in_si.block<3, 3>(9, 9).setIdentity();
+  for (Eigen::Index i = 0; i < 9; ++i)
+    in_si.row(i) = sensitivities[static_cast<std::size_t>(i)].gradient.transpose();
+  const auto by_outputs = in_si.leftCols<12>();
+  const Eigen::Matrix<double, 12, 1> by_gravity = in_si.col(12) * stated.result.g_loc.standard_uncertainty;
+  return by_outputs * outputs * by_outputs.transpose() + by_gravity * by_gravity.transpose();
 }
 
 std::optional<Quantity> stated_quantity(const StatedResult& stated, const std::string& name) {

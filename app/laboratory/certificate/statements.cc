@@ -7,8 +7,11 @@
 
 #include "app/formats/dsi_unit.h"
 #include "app/formats/xml_tree.h"
+#include "app/laboratory/certificate/certified_record.h"
 #include "app/laboratory/certificate/measurand.h"
 #include "app/laboratory/certificate/traceability.h"
+#include "app/laboratory/register/records.h"
+#include "protocol/record/run_operator.h"
 
 namespace abcal {
 namespace {
@@ -36,7 +39,8 @@ Statement traceability(const Certificate& certificate) {
         with_reasons(words, words("Metrological traceability is not claimed:"), certificate.not_traceable));
   Wording text = words("The results are traceable to the International System of Units (SI):");
   for (const Equipment& one : certificate.laboratory.equipment) {
-    if (one.quantity == "other") continue;
+    // On what a record of the stage rests is a statement of its own.
+    if (one.quantity == "other" || one.quantity == lab::kStageRecordQuantity) continue;
     text.text += " " + words("{quantity} by {name} {serial_number}, certificate {certificate} of {issuer};",
                              word_of(kQuantities, one.quantity), one.name, one.serial_number, one.certificate,
                              one.certificate_issuer)
@@ -70,15 +74,13 @@ void add_monte_carlo(std::vector<Statement>& statements, const Words& words, con
   const CertifiedUncertainty& made = *run.monte_carlo;
   Statement statement =
       plain("abc_monteCarlo", title,
-            made.any_larger()
-                ? words("{trials} trials of the whole evaluation (seed {seed}) gave an expanded uncertainty "
-                        "of {quantities} that is "
-                        "larger than the evaluated one; that of the trials and its covariance are stated.",
-                        made.trials, made.seed, made.larger())
-                : words("{trials} trials of the whole evaluation (seed {seed}) gave no larger expanded "
-                        "uncertainty; the "
-                        "evaluated one is stated.",
-                        made.trials, made.seed));
+            made.any_larger() ? words("{trials} trials of the whole evaluation (seed {seed}) gave an "
+                                      "expanded uncertainty of {quantities} that is larger than the "
+                                      "evaluated one; that of the trials and its covariance are stated.",
+                                      made.trials, made.seed, made.larger())
+                              : words("{trials} trials of the whole evaluation (seed {seed}) gave no larger "
+                                      "expanded uncertainty; the evaluated one is stated.",
+                                      made.trials, made.seed));
   statement.norms = {"JCGM 101:2008"};
   statements.push_back(statement);
 }
@@ -86,13 +88,17 @@ void add_monte_carlo(std::vector<Statement>& statements, const Words& words, con
 /// Meaning of the stated uncertainties, with the coverage factor, and the sources that they exclude.
 void add_uncertainty(std::vector<Statement>& statements, const Certificate& certificate) {
   const Words& words = certificate.words;
-  Statement uncertainty = plain(
-      "abc_uncertainty", words("Uncertainty of measurement"),
-      words(
-          "The expanded uncertainty U is the standard uncertainty of measurement multiplied by the coverage "
-          "factor k. It was evaluated following JCGM 100 and EA-4/02 M: 2022. The value of the measurand "
-          "lies "
-          "within the stated interval with a probability of approximately 95 %."));
+  Statement uncertainty =
+      plain("abc_uncertainty", words("Uncertainty of measurement"),
+            words("The expanded uncertainty U is the standard uncertainty of measurement multiplied by the "
+                  "coverage factor k. It was evaluated following JCGM 100 and EA-4/02 M: 2022. The value of "
+                  "the measurand lies within the stated interval with a probability of 95.45 %."));
+  if (certificate.run.data.result().stage_record)
+    uncertainty.text.text +=
+        " " + words(
+                  "U is that of the fit, in which the record of the stage has all its covariances; trials of "
+                  "the whole evaluation (JCGM 101) were not made.")
+                  .text;
   uncertainty.norms = {"JCGM 100:2008", "JCGM 102:2011", "EA-4/02 M: 2022"};
   statements.push_back(uncertainty);
   add_monte_carlo(statements, words, certificate.run, words("Monte Carlo of the result"));
@@ -151,11 +157,10 @@ void add_optional(std::vector<Statement>& statements, const Certificate& certifi
   add("abc_opinions", words("Opinions and interpretations"), job.opinions);
   if (certificate.as_found) add("basic_adjustment", words("Adjustment"), job.adjustment);
   if (!job.customer_supplied.empty()) {
-    statements.push_back(plain(
-        "abc_customerSupplied", words("Data supplied by the customer"),
-        words("Supplied by the customer and not checked by the laboratory, which is not responsible for what "
-              "follows from them: {data}.",
-              fmt::format("{}", fmt::join(job.customer_supplied, ", ")))));
+    statements.push_back(plain("abc_customerSupplied", words("Data supplied by the customer"),
+                               words("Supplied by the customer and not checked by the laboratory, which is "
+                                     "not responsible for what follows from them: {data}.",
+                                     fmt::format("{}", fmt::join(job.customer_supplied, ", ")))));
   }
   if (job.recalibration) {
     Statement statement =
@@ -189,18 +194,45 @@ void add_items_together(std::vector<Statement>& statements, const Certificate& c
   const std::vector<TrayItemResult>& items = data.all->joint.items;
   const bool together = data.result().estimator == "joint" && data.all->joint.stage &&
                         items.at(static_cast<std::size_t>(data.item) - 1).in_common_fit;
-  statements.push_back(plain(
-      "abc_itemsTogether", words("Items measured together"),
-      together
-          ? words("Item {item} of {items} that were measured together on one stage. The errors of the stage "
-                  "were "
-                  "estimated once, from the readings of {all} items; the sensitivity matrix and the offsets "
-                  "are those of this item.",
-                  data.item, items.size(), data.all->joint.stage->items)
-          : words("Item {item} of {items} that were measured together on one stage. Its results are from its "
-                  "own "
-                  "readings alone.",
-                  data.item, items.size())));
+  statements.push_back(
+      plain("abc_itemsTogether", words("Items measured together"),
+            together ? words("Item {item} of {items} that were measured together on one stage. The errors of "
+                             "the stage were estimated once, from the readings of {all} items; the "
+                             "sensitivity matrix and the offsets are those of this item.",
+                             data.item, items.size(), data.all->joint.stage->items)
+                     : words("Item {item} of {items} that were measured together on one stage. Its results "
+                             "are from its own readings alone.",
+                             data.item, items.size())));
+}
+
+/// For a measurement of several runs: which they are, and how the item was mounted in each.
+void add_runs(std::vector<Statement>& statements, const Certificate& certificate) {
+  const ReportData& data = certificate.run.data;
+  if (!data.is_of_several_runs()) return;
+  const Words& words = certificate.words;
+  Wording text = words(
+      "The readings of {runs} runs were evaluated together. The sensitivity matrix is that of the item as it "
+      "was mounted in the first of them, the offsets and the intrinsic properties are those of the item in "
+      "the mean. By how much it changes from run to run is part of the uncertainty.",
+      certificate.together.size());
+  for (std::size_t k = 0; k < certificate.together.size(); ++k) {
+    const ReportData& run = certificate.together[k];
+    text.text +=
+        " " + words("{file}: begun {begun}, {mounting}, by {names}.", run.path.filename().string(),
+                    run.started_utc(), data.result().series.at(k).mounting, describe(operators_of(*run.run)))
+                  .text;
+  }
+  statements.push_back(plain("abc_runs", words("Runs evaluated together"), text));
+}
+
+/// For results that use a record of the stage: what it is, and on what it rests.
+void add_stage_records(std::vector<Statement>& statements, const Certificate& certificate) {
+  const auto add = [&](const ReportData& data, const Wording& title) {
+    if (data.result().stage_record) statements.push_back(stage_record_statement(certificate, data, title));
+  };
+  add(certificate.run.data, certificate.words("Record of the stage"));
+  if (certificate.as_found)
+    add(certificate.as_found->data, certificate.words("Record of the stage, as found"));
 }
 
 /// Says which certificate an amendment replaces, why, and every statement that it changes.
@@ -229,11 +261,9 @@ void add_warnings(std::vector<Statement>& statements, const Certificate& certifi
               with_reasons(words, words("DRAFT: this certificate is not issued and may not be used as one."),
                            certificate.reservations)));
   if (certificate.training())
-    statements.push_back(plain(
-        "abc_training", words("TRAINING"),
-        words(
-            "TRAINING: this certificate certifies nothing. It is of a training register and may not be used "
-            "as a certificate.")));
+    statements.push_back(plain("abc_training", words("TRAINING"),
+                               words("TRAINING: this certificate certifies nothing. It is of a training "
+                                     "register and may not be used as a certificate.")));
   if (!data.simulated.empty()) {
     std::string of;
     for (const std::string& instrument : data.simulated)
@@ -254,18 +284,18 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
   const Words& words = certificate.words;
   std::vector<Statement> statements;
   add_warnings(statements, certificate);
-  statements.push_back(plain(
-      "abc_scope", words("Scope"),
-      words("The results relate only to the item calibrated, in the state in which it was and under the "
-            "conditions that are stated.")));
-  statements.push_back(
-      plain("abc_reproduction", words("Reproduction"),
-            words("This certificate may not be reproduced except in full, unless the laboratory "
-                  "agrees in writing.")));
+  statements.push_back(plain("abc_scope", words("Scope"),
+                             words("The results relate only to the item calibrated, in the state in which it "
+                                   "was and under the conditions that are stated.")));
+  statements.push_back(plain("abc_reproduction", words("Reproduction"),
+                             words("This certificate may not be reproduced except in full, unless the "
+                                   "laboratory agrees in writing.")));
   statements.push_back(identity_statement(words, certificate.run.data));
   if (certificate.run.has_numbers()) statements.push_back(measurand_statement(words));
   statements.push_back(traceability(certificate));
   add_items_together(statements, certificate);
+  add_runs(statements, certificate);
+  add_stage_records(statements, certificate);
   add_uncertainty(statements, certificate);
   add_decision_rule(statements, certificate);
   add_optional(statements, certificate);
@@ -277,8 +307,7 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
     const RunWitnessing& witnessing = certificate.issue->witnessing;
     statements.push_back(plain("abc_witness", words("Witness"),
                                words("Each of the {angles} angles of the run was signed by the witness with "
-                                     "the key of {key} when it was "
-                                     "measured.",
+                                     "the key of {key} when it was measured.",
                                      witnessing.angles, witnessing.by)));
   } else if (certificate.issue && !certificate.issue->witnessing.statement.empty()) {
     statements.push_back(
@@ -287,11 +316,11 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
                     certificate.issue->witnessing.statement)));
   }
   if (certificate.issue && certificate.issue->entry) {
-    Statement entry = plain(
-        "abc_register", words("Register"),
-        words("An entry of the laboratory's register gave this certificate its number. The hash is that of "
-              "this entry and of all before it. With this certificate the laboratory or an assessor finds "
-              "out whether the register was copied back or rewritten since."));
+    Statement entry =
+        plain("abc_register", words("Register"),
+              words("An entry of the laboratory's register gave this certificate its number. The hash is "
+                    "that of this entry and of all before it. With this certificate the laboratory or an "
+                    "assessor finds out whether the register was copied back or rewritten since."));
     entry.references = {reference_of(*certificate.issue->entry)};
     statements.push_back(entry);
   }

@@ -10,21 +10,13 @@
 #include <stdexcept>
 
 #include "app/bench_file/not_real.h"
+#include "app/laboratory/certificate/certified_record.h"
 #include "app/results/analysis/effect_words.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 
 namespace abcal {
 namespace {
-
-/// Whether a calibration of equipment holds on a day.
-bool holds_on(const Equipment& equipment, Date day) {
-  return equipment.performed && *equipment.performed <= day && equipment.due && day <= *equipment.due;
-}
-
-Message date_words(const std::optional<Date>& date) {
-  return date ? Message("{date}", format_date(*date)) : Message("not stated");
-}
 
 Message words_for(const Equipment& equipment) {
   return {"\"{name}\", certificate \"{certificate}\", performed {performed}, due {due}",
@@ -218,6 +210,14 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
 
 }  // namespace
 
+bool holds_on(const Equipment& equipment, Date day) {
+  return equipment.performed && *equipment.performed <= day && equipment.due && day <= *equipment.due;
+}
+
+Message date_words(const std::optional<Date>& date) {
+  return date ? Message("{date}", format_date(*date)) : Message("not stated");
+}
+
 std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
                                             const std::string& quantity, const std::string& serial_numbers) {
   const auto is_listed = [&](const std::string& serial_number) {
@@ -236,10 +236,10 @@ std::vector<Reason> against_traceability(const LaboratoryFile& laboratory, const
   std::vector<Reason> problems;
   if (!data.run) return problems;
   if (!data.simulated.empty())
-    problems.push_back(
-        {which, Message("instruments"), Message("simulated: {instruments}", roles(data.simulated)),
-         Message("real ones, no [simulation] in the bench file, no serial number of the emulator: "
-                 "nothing was calibrated")});
+    problems.push_back({which, Message("instruments"),
+                        Message("simulated: {instruments}", roles(data.simulated)),
+                        Message("real ones, no [simulation] in the bench file, no serial number of the "
+                                "emulator: nothing was calibrated")});
   if (!data.label("replay.of").empty())
     problems.push_back({which,
                         {},
@@ -252,17 +252,17 @@ std::vector<Reason> against_traceability(const LaboratoryFile& laboratory, const
   } else {
     problems.push_back({which, {}, Message("no date"), Message("a run that says when it was made")});
   }
-  if (const Message words = default_effects_words(data.record.tolerances, Advice::kNone); !words.empty())
+  const EffectSizes sizes = sizes_behind(data);
+  if (const Message words = default_effects_words(sizes, Advice::kNone); !words.empty())
     problems.push_back({which, Message("effects"), words, Message("a source for each")});
-  if (const std::vector<Message> bare = effects_without_source(data.record.tolerances); !bare.empty())
+  if (const std::vector<Message> bare = effects_without_source(sizes); !bare.empty())
     problems.push_back({which, Message("effects"), Message("stated without a source: {effects}", bare),
                         Message("a source for each: a table with value and source in place of the number")});
   if (const std::vector<Term> unstated = unstated_voltmeter(data); !unstated.empty())
-    problems.push_back(
-        {which, Message("voltmeter"),
-         Message("not stated: {effects}", Joined{{unstated.begin(), unstated.end()}, ", "}),
-         Message("[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its source (0 where "
-                 "the other covers it)")});
+    problems.push_back({which, Message("voltmeter"),
+                        Message("not stated: {effects}", Joined{{unstated.begin(), unstated.end()}, ", "}),
+                        Message("[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its "
+                                "source (0 where the other covers it)")});
   return problems;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -20,6 +21,12 @@ namespace abcal {
 /// @param which  name of the run in the reasons: "run", "as-found run"
 std::vector<Reason> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
                                          const Message& which);
+
+/// Whether a calibration of equipment holds on a day.
+bool holds_on(const Equipment& equipment, Date day);
+
+/// "2026-03-01", or that it is not stated.
+Message date_words(const std::optional<Date>& date);
 
 /// The first of an instrument's serial numbers ("123/456", or "123 + 456" if it names several) that no
 /// equipment of a quantity has exactly; empty: each has one, or one piece of equipment has all of them

@@ -6,7 +6,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -44,8 +44,8 @@ class Words {
 };
 
 /// Words that come as text, from files and tables of the program.
-inline constexpr Term kQuantities[]{"angle",    "gravity",  "voltage", "temperature",
-                                    "humidity", "pressure", "level",   "other"},
+inline constexpr Term kQuantities[]{"angle",    "gravity", "voltage",      "temperature", "humidity",
+                                    "pressure", "level",   "stage record", "other"},
     kRoles[]{"stage", "accelerometer"}, kDistributions[]{"normal", "rectangular", "triangular", "u-shaped"},
     kPlaces[]{"laboratory", "customer", "laboratoryBranch", "customerBranch"},
     kConformityWords[]{"pass", "conditionalPass", "conditionalFail", "fail"},

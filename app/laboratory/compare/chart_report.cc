@@ -16,11 +16,10 @@ using Json = nlohmann::ordered_json;
 
 std::string status(const ShownChart& chart, std::FILE* stream) {
   if (chart.blocked())
-    return emphasised(
-               stream, Emphasis::kBad,
-               "OUTSIDE: issue is blocked for this bench until a person with the right to approve lifts it "
-               "(abcal lab chart lift " +
-                   chart.name + " --reason TEXT)") +
+    return emphasised(stream, Emphasis::kBad,
+                      "OUTSIDE: issue is blocked for this bench until a person with the right to approve "
+                      "lifts it (abcal lab chart lift " +
+                          chart.name + " --reason TEXT)") +
            "\n";
   const bool last_outside = !chart.points.empty() && chart.points.back().outside;
   return emphasised(stream, last_outside ? Emphasis::kBad : Emphasis::kGood,
@@ -34,8 +33,7 @@ void add_rules(const ShownChart& chart, std::string& text) {
   const ChartRules& rules = chart.baseline.rules;
   text += fmt::format(
       "Limits in standard deviations of the baseline: single value {:.2f}; moving average (weight {:g}) "
-      "{:.2f}; "
-      "cumulative sum (allowance {:.2f}) {:.2f}\n"
+      "{:.2f}; cumulative sum (allowance {:.2f}) {:.2f}\n"
       "False alarms: at most one in {:g} check runs on average for nine baselines of ten of {} runs, all "
       "properties and rules together\n",
       rules.shewhart, rules.ewma_weight, rules.ewma_edge(), rules.cusum_allowance, rules.cusum,
@@ -218,10 +216,8 @@ std::string chart_script(const ShownChart& chart) {
         "set title '{1} (standard deviations)'\nset xrange [0:{2}]\nset yrange [{3:.6g}:{4:.6g}]\n"
         "plot {5:.6g} lc rgb 'red', {6:.6g} lc rgb 'red', {7:.6g} dt 2 lc rgb 'orange', {8:.6g} dt 2 lc rgb "
         "'orange', $before{0} using 1:2 with points pt 6 lc rgb 'gray40', $after{0} using 1:2 with points pt "
-        "7 "
-        "lc rgb 'black', $average{0} using 1:2 with lines lc rgb 'orange', $outside{0} using 1:2 with points "
-        "pt 7 "
-        "lc rgb 'red'\n",
+        "7 lc rgb 'black', $average{0} using 1:2 with lines lc rgb 'orange', $outside{0} using 1:2 with "
+        "points pt 7 lc rgb 'red'\n",
         i, kIntrinsicSymbols[i], number + 1, -1.15 * largest, 1.15 * largest, limit, -limit, edge, -edge);
   }
   return script + "unset multiplot\n";

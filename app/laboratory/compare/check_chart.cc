@@ -69,8 +69,8 @@ void add_scatter_problems(const CheckBaseline& baseline, std::vector<std::string
       const double distance = std::abs(run.values(i) - baseline.centre(i)) / s;
       if (distance > limit)
         problems.push_back(
-            fmt::format("{}: {} is {:.2f} standard deviations from the mean; required: at most "
-                        "{:.2f} (outlier by Grubbs' test)",
+            fmt::format("{}: {} is {:.2f} standard deviations from the mean; required: at most {:.2f} "
+                        "(outlier by Grubbs' test)",
                         run.file, name, distance, limit));
     }
   }
@@ -281,10 +281,9 @@ std::string against_point(const CheckBaseline& baseline, const CheckRun& run, co
   for (const CheckRun& one : baseline.runs)
     if (one.sha256 == run.sha256) problems.push_back(run.file + ": is a run of the baseline");
   if (run.date < last_date)
-    problems.push_back(
-        fmt::format("{}: measured at {}, before the last of the chart, {}; required: runs in the "
-                    "order of their time",
-                    run.file, run.date, last_date));
+    problems.push_back(fmt::format(
+        "{}: measured at {}, before the last of the chart, {}; required: runs in the order of their time",
+        run.file, run.date, last_date));
   return fmt::format("{}", fmt::join(problems, "; "));
 }
 

@@ -24,10 +24,10 @@ void require_one_item(const std::vector<ComparedResult>& results, std::vector<st
     } else if (!known) {
       known = &result;
     } else if (known->item_serial_number != result.item_serial_number) {
-      throw CompareError(fmt::format(
-          "{} is of {} and {} of {}: different items; required: results of one item (--any-item compares all "
-          "the same)",
-          known->file, known->item, result.file, result.item));
+      throw CompareError(
+          fmt::format("{} is of {} and {} of {}: different items; required: results of one item (--any-item "
+                      "compares all the same)",
+                      known->file, known->item, result.file, result.item));
     }
   }
   if (!unknown.empty()) {
@@ -49,7 +49,11 @@ bool same_readings(const RunRecord& first, const RunRecord& second) {
 bool of_one_measurement(const ComparedResult& first, const ComparedResult& second) {
   if (first.run && first.run == second.run) return first.item_of_run == second.item_of_run;
   if (first.sha256 == second.sha256 && !first.sha256.empty()) return true;
-  if (!first.chain.empty() && !second.chain.empty()) return first.chain == second.chain;
+  const auto is_of_both = [&](const std::string& chain) {
+    return !chain.empty() && std::ranges::count(second.chains, chain) > 0;
+  };
+  if (std::ranges::any_of(first.chains, is_of_both)) return true;
+  if (!first.chains.empty() && !second.chains.empty()) return false;
   return first.record && second.record && first.record->response_unit == second.record->response_unit &&
          same_readings(*first.record, *second.record);
 }
@@ -97,8 +101,7 @@ Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult
     if (!result->record || result->estimator != kPublishedEstimator || !result->matrix) {
       throw CompareError(
           fmt::format("--shared: {} ({}) does not state which part of its uncertainty comes from the stage; "
-                      "required: runs "
-                      "or CSV records, and the abc estimator",
+                      "required: runs or CSV records, and the abc estimator",
                       result->file, result->what));
     }
   }
@@ -129,19 +132,19 @@ std::string without_stage(const std::vector<const ComparedResult*>& results) {
 void note_common_stage(const ComparedResult& first, const ComparedResult& second, bool subtracted,
                        std::vector<std::string>& notes) {
   if (in_one_common_fit(first, second)) {
-    notes.push_back(fmt::format(
-        "{} and {} were measured together: what the stage did to both is known by their common fit, and was "
-        "subtracted from the uncertainty of the differences",
-        first.file, second.file));
+    notes.push_back(
+        fmt::format("{} and {} were measured together: what the stage did to both is known by their common "
+                    "fit, and was subtracted from the uncertainty of the differences",
+                    first.file, second.file));
   } else if (subtracted) {
-    notes.push_back(fmt::format(
-        "{} and {}: what the same stage does to both (type B at equal angles; drift is each run's own) was "
-        "subtracted from the uncertainty of the differences{}. What the stage did not do the same way twice "
-        "(homing, temperature) is then a difference too",
-        first.file, second.file,
-        on_same_stage(first, second) == SameStage::kUnknown
-            ? "; that the stage is the same was taken from --shared"
-            : ", stage " + first.stage));
+    notes.push_back(
+        fmt::format("{} and {}: what the same stage does to both (type B at equal angles; drift is each "
+                    "run's own) was subtracted from the uncertainty of the differences{}. What the stage did "
+                    "not do the same way twice (homing, temperature) is then a difference too",
+                    first.file, second.file,
+                    on_same_stage(first, second) == SameStage::kUnknown
+                        ? "; that the stage is the same was taken from --shared"
+                        : ", stage " + first.stage));
   } else if (on_same_stage(first, second) == SameStage::kYes) {
     notes.push_back(
         fmt::format("{} and {} were measured on the same stage ({}): its type B is common to both and was "
@@ -453,10 +456,10 @@ void note_formulas(const std::vector<ComparedResult>& results, std::vector<std::
     return;
   for (const ComparedResult& result : results)
     if (result.estimator.empty())
-      notes.push_back(fmt::format(
-          "{} is of another program and is compared with the line response; if it is an ABC result by the "
-          "published formula, --published compares it with the same quantity",
-          result.file));
+      notes.push_back(
+          fmt::format("{} is of another program and is compared with the line response; if it is an ABC "
+                      "result by the published formula, --published compares it with the same quantity",
+                      result.file));
 }
 
 /// Compares each result with the first, or with the first that is not an outlier.

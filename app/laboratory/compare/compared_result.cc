@@ -10,6 +10,7 @@
 
 #include "app/laboratory/compare/check_chart.h"
 #include "app/laboratory/compare/read_certificate.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/other_file.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
@@ -142,10 +143,10 @@ void convert_response(const ComparedResult& first, ComparedResult& result) {
   if (meaning.powers.empty() && is_count(wanted)) meaning.powers = wanted.powers;
   if (wanted.powers.empty() && is_count(meaning)) wanted.powers = meaning.powers;
   if (!meaning.same_kind(wanted)) {
-    throw CompareError(fmt::format(
-        "{} is in {} and {} in {}: these cannot be made into one another; required: results in units of one "
-        "kind",
-        first.file, first.unit_name, result.file, result.unit_name));
+    throw CompareError(
+        fmt::format("{} is in {} and {} in {}: these cannot be made into one another; required: results in "
+                    "units of one kind",
+                    first.file, first.unit_name, result.file, result.unit_name));
   }
   const double factor = meaning.factor / wanted.factor;
   if (factor != 1.0) scale(result, factor, factor);
@@ -160,7 +161,7 @@ namespace {
 
 void identify(const std::filesystem::path& path, ComparedResult& result) {
   result.sha256 = sha256_of_file(path);
-  if (RunFile::looks_like_run_file(path)) result.chain = last_dwell_link(path);
+  if (RunFile::looks_like_run_file(path)) result.chains = {last_dwell_link(path)};
 }
 
 void take_result(const CalibrationResult& calibration, ComparedResult& result) {
@@ -181,7 +182,9 @@ ComparedResult compared_item(const std::string& file, std::shared_ptr<const Anal
   result.file = name_of_item(file, item.stored);
   result.kind = "CSV";
   identify(file, result);
-  if (RunFile::looks_like_run_file(file)) describe_run(item.stored, result);
+  if (RunFile::looks_like_run_file(file) || !run->runs.empty()) describe_run(item.stored, result);
+  if (!run->runs.empty()) result.kind = "measurement";
+  for (const RunOfMeasurement& part : run->runs) result.chains.push_back(last_dwell_link(part.file));
   take_result(item.results.front(), result);
   result.run = std::move(run);
   result.item_of_run = k;
@@ -202,7 +205,7 @@ bool ComparedResult::of_common_fit() const {
 }
 
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
-                                          int item) {
+                                          int item, const TableOptions& options) {
   std::map<std::filesystem::path, std::shared_ptr<const AnalysedRun>> runs;
   std::vector<ComparedResult> results;
   for (const std::string& name : names) {
@@ -217,16 +220,14 @@ std::vector<ComparedResult> load_compared(const std::vector<std::string>& names,
     const bool all = named.item == 0 && (count == 1 || names.size() == 1);
     if (!all && (named.item < 1 || named.item > count))
       throw CompareError(
-          fmt::format("{}: {} has {} items; required: {}#1 to {}#{}, or this run alone, which "
-                      "compares its items with one another",
+          fmt::format("{}: {} has {} items; required: {}#1 to {}#{}, or this run alone, which compares its "
+                      "items with one another",
                       name, file, count, file, file, count));
     std::error_code ignored;
     std::shared_ptr<const AnalysedRun>& run = runs[std::filesystem::weakly_canonical(file, ignored)];
-    if (!run) {
-      std::vector<StoredRun> items = load_items(file);
-      const std::string by = estimator.empty() ? declared_estimator(items.front().record).name : estimator;
-      run = std::make_shared<const AnalysedRun>(analyse_run(std::move(items), by));
-    }
+    if (!run)
+      run = std::make_shared<const AnalysedRun>(
+          analyse_file_by(file, estimator, RunFile::looks_like_run_file(file) ? TableOptions() : options));
     for (const AnalysedItem& each : run->items)
       if (all || each.stored.item == named.item)
         results.push_back(compared_item(file, run, each.stored.item));
@@ -234,15 +235,19 @@ std::vector<ComparedResult> load_compared(const std::vector<std::string>& names,
   return results;
 }
 
+std::string estimator_to_compare(const std::string& stated, bool shared_stage) {
+  return stated.empty() && shared_stage ? std::string(kPublishedEstimator) : stated;
+}
+
 void take_published_formula(std::vector<ComparedResult>& results) {
   std::vector<std::string> problems;
   for (ComparedResult& result : results) {
     if (!result.run) {
       if (!result.estimator.empty())
-        problems.push_back(fmt::format(
-            "{}: a certificate of the line response; required: the run that it certifies, or a certificate "
-            "of another program",
-            result.file));
+        problems.push_back(
+            fmt::format("{}: a certificate of the line response; required: the run that it certifies, or a "
+                        "certificate of another program",
+                        result.file));
       continue;
     }
     const std::optional<PublishedResult>& published =
@@ -272,10 +277,9 @@ std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& re
     for (const ComparedResult& r : results) {
       if (r.per_g_loc && !r.g_loc) missing += (missing.empty() ? "" : ", ") + r.file;
     }
-    throw CompareError(
-        missing +
-        ": local gravity is not known, so that sensitivities per g_loc cannot be compared with "
-        "a certificate's per m/s2; required: a run file");
+    throw CompareError(missing +
+                       ": local gravity is not known, so that sensitivities per g_loc cannot be compared "
+                       "with a certificate's per m/s2; required: a run file");
   }
   if (all_per_g_loc && !all_known) {
     notes.push_back(

@@ -14,13 +14,14 @@
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/plan/response_unit.h"
 #include "protocol/record/run_record.h"
+#include "protocol/record/table_columns.h"
 
 namespace abcal {
 
-/// A result that can be compared with others: from a run, a CSV of averaged readings, or a certificate.
+/// A result that can be compared with others: from a run, a table of readings, or a certificate.
 struct ComparedResult {
   std::string file;  ///< Name as given.
-  std::string kind;  ///< "run", "CSV", "certificate"
+  std::string kind;  ///< "run", "measurement", "CSV", "certificate"
   std::string what;  ///< "abc estimator"; number of a certificate
   /// Estimator of a run or a CSV, or the one that a certificate of this program names; empty: another
   /// program's certificate.
@@ -55,9 +56,9 @@ struct ComparedResult {
   std::vector<std::string> notes;
 
   std::string sha256;  ///< SHA-256 of the bytes of the file.
-  /// Last link of the chain of a run's dwells: a copy of the run has it too, however its bytes lie. Empty: no
-  /// run, or one of version 2.
-  std::string chain;
+  /// Last link of the chain of a run's dwells, of each run of a measurement: a copy of the run has it too,
+  /// however its bytes lie. Empty: no run, or one of version 2.
+  std::vector<std::string> chains;
 
   /// Whether its numbers are those of the common fit of its run's items.
   bool of_common_fit() const;
@@ -84,11 +85,16 @@ class CompareError : public std::invalid_argument {
 /// all its items. Each run is analysed once.
 /// @param estimator  for runs and CSVs; empty: the one that each of them declares
 /// @param item  the item of each run that is named without #K, from 1; 0: the only one
+/// @param options  of the tables
 /// @throws as load_items() and read_certificate(); std::runtime_error for a record that gives no usable
 ///         result, with the reason; CompareError for a run of several items without #K if it is not alone,
 ///         and for an item that it does not have
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
-                                          int item = 0);
+                                          int item = 0, const TableOptions& options = {});
+
+/// The estimator of a comparison where none is stated: empty, that each result declares; with a shared stage
+/// the published protocol's, for whose equations alone the common effect of a stage on two results is known.
+std::string estimator_to_compare(const std::string& stated, bool shared_stage);
 
 /// Takes the numbers of the published formula (Geist & Gaitan 2021, Eqs. 5 to 10) for every run and CSV, with
 /// the paper's own uncertainty: for comparison with ABC results of other laboratories. Certificates of other

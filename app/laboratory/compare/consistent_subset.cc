@@ -107,10 +107,9 @@ void require_sizes(const std::vector<Eigen::VectorXd>& values, const Eigen::Matr
   const Eigen::Index rows = static_cast<Eigen::Index>(n) * size;
   if (n < 2 || n > kMostConsistent || size == 0 || !alike || covariance.rows() != rows ||
       covariance.cols() != rows) {
-    throw std::invalid_argument(
-        fmt::format("consistency of {} results; required: 2 to {}, all of the same properties, and their "
-                    "covariance",
-                    n, kMostConsistent));
+    throw std::invalid_argument(fmt::format(
+        "consistency of {} results; required: 2 to {}, all of the same properties, and their covariance", n,
+        kMostConsistent));
   }
   if (!(covariance.diagonal().array() > 0.0).all() || !covariance.allFinite())
     throw std::invalid_argument(

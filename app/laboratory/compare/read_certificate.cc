@@ -10,6 +10,7 @@
 #include "app/formats/dsi_unit.h"
 #include "app/formats/xml_query.h"
 #include "app/formats/xml_tree.h"
+#include "app/laboratory/certificate/dcc_state.h"
 #include "app/system/read_file.h"
 #include "protocol/estimators/circle/sensitivity_matrix.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
@@ -38,6 +39,7 @@ struct CovarianceList {
 struct Numbers {
   std::map<std::string, Number> by_label;
   std::vector<CovarianceList> covariances;
+  bool from_state = false;  ///< The twelve outputs with all digits, of which the other ones are functions.
 };
 
 /// Labels of the twelve outputs.
@@ -83,7 +85,57 @@ class ListReader {
     read_covariance(list, labels, numbers);
   }
 
+  /// The state of a certificate of ours: the twelve outputs with all digits and their covariance as it was
+  /// measured, not as it was raised to a scope. It takes the place of all that was read before.
+  void read_state(xmlNode* measurement, Numbers& numbers) {
+    where_ = kStateType;
+    const auto found =
+        certificate_.nodes(fmt::format("dcc:results/dcc:result[@refType='{}']", kStateType), measurement);
+    if (found.empty()) return;
+    Numbers state;
+    state.from_state = true;
+    for (xmlNode* list : certificate_.nodes(
+             fmt::format("dcc:data/dcc:quantity[@refType='{}']/si:realListXMLList", kStateValues),
+             found.front()))
+      read(list, state);
+    CovarianceList& covariance = state.covariances.emplace_back();
+    covariance.labels.assign(kOutputLabels.begin(), kOutputLabels.end());
+    for (const char* type : {kMeasuredCovariance, kStateCovariance}) {
+      covariance.matrix = covariance_rows(type, found.front());
+      if (covariance.matrix.allFinite()) break;
+    }
+    if (state.by_label.size() != kOutputLabels.size() || !covariance.matrix.allFinite() ||
+        !(covariance.matrix.diagonal().array() > 0.0).all())
+      return problem("twelve outputs with a covariance required");
+    for (std::size_t i = 0; i < kOutputLabels.size(); ++i) {
+      const auto at = static_cast<Eigen::Index>(i);
+      state.by_label.at(kOutputLabels[i]).standard_uncertainty = std::sqrt(covariance.matrix(at, at));
+    }
+    numbers = std::move(state);
+  }
+
  private:
+  /// A covariance of the outputs that is given row by row; elements that are not there are NaN.
+  Eigen::MatrixXd covariance_rows(const char* type, xmlNode* state) {
+    Eigen::MatrixXd matrix = Eigen::MatrixXd::Constant(12, 12, std::nan(""));
+    const auto place = [](const std::string& label) {
+      return std::find(kOutputLabels.begin(), kOutputLabels.end(), label) - kOutputLabels.begin();
+    };
+    for (xmlNode* row :
+         certificate_.nodes(fmt::format("dcc:data/dcc:list[@refType='{}']/dcc:quantity", type), state)) {
+      const Eigen::Index i = place(certificate_.text("dcc:name/dcc:content", row));
+      const std::vector<std::string> labels = certificate_.words("si:realListXMLList/si:labelXMLList", row);
+      const std::vector<double> values = real_list("si:realListXMLList/si:valueXMLList", row, labels.size());
+      const std::vector<UnitMeaning> units =
+          unit_list("si:realListXMLList/si:unitXMLList", row, labels.size());
+      if (i == matrix.rows() || values.size() != labels.size() || units.size() != labels.size()) continue;
+      for (std::size_t n = 0; n < labels.size(); ++n)
+        if (const Eigen::Index j = place(labels[n]); j < matrix.cols())
+          matrix(i, j) = values[n] * units[n].factor;
+    }
+    return matrix;
+  }
+
   void problem(const std::string& what) {
     if (problems_.size() < kMostProblems) problems_.push_back(where_ + ": " + what);
   }
@@ -191,8 +243,8 @@ class ListReader {
   std::string where_;
 };
 
-/// Covariance from coefficients of correlation and the uncertainties of the values: how our certificates give
-/// it for outputs of different units. A list that is not complete is left out.
+/// Covariance from coefficients of correlation and the uncertainties of the values: how our certificates up
+/// to 1.1 give it for outputs of different units. A list that is not complete is left out.
 void read_correlations(const XmlQuery& certificate, xmlNode* measurement, Numbers& numbers) {
   for (xmlNode* list : certificate.nodes(
            "dcc:results//dcc:list[starts-with(@refType, 'abc_correlation')][dcc:quantity]", measurement)) {
@@ -335,20 +387,27 @@ void fill_values(const Numbers& numbers, ComparedResult& result) {
       }
     } else if (!std::isfinite(result.values(i))) {
       result.values(i) = from_matrix(i);
-      result.notes.push_back(
-          fmt::format("{} was computed from the matrix", kIntrinsicSymbols[static_cast<std::size_t>(i)]));
+      if (!numbers.from_state)
+        result.notes.push_back(
+            fmt::format("{} was computed from the matrix", kIntrinsicSymbols[static_cast<std::size_t>(i)]));
     }
   }
   result.covariance = covariance;
   result.with_correlations = full.has_value();
 }
 
+/// The maker's number of an item or an equipment; empty: none is stated.
+std::string serial_number_of(const XmlQuery& certificate, xmlNode* of) {
+  const std::string number =
+      certificate.text("dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value", of);
+  return number == "not stated" ? std::string() : number;  // so our certificates up to 1.1 said it
+}
+
 void fill_identity(const XmlQuery& certificate, ComparedResult& result) {
   constexpr const char* kItem = "dcc:administrativeData/dcc:items/dcc:item";
   const std::vector<xmlNode*> items = certificate.nodes(kItem);
   if (!items.empty()) {
-    result.item_serial_number = certificate.text(
-        "dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value", items.front());
+    result.item_serial_number = serial_number_of(certificate, items.front());
     for (const std::string& word :
          {certificate.text("dcc:manufacturer/dcc:name/dcc:content", items.front()),
           certificate.text("dcc:model", items.front()), result.item_serial_number}) {
@@ -369,8 +428,7 @@ void fill_stage(const XmlQuery& certificate, xmlNode* measurement, ComparedResul
   const std::vector<xmlNode*> found = certificate.nodes(kStage, measurement);
   if (found.empty()) return;
   result.stage = certificate.text("dcc:model", found.front());
-  result.stage_serial_number = certificate.text(
-      "dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value", found.front());
+  result.stage_serial_number = serial_number_of(certificate, found.front());
   if (!result.stage_serial_number.empty())
     result.stage += (result.stage.empty() ? "" : " ") + result.stage_serial_number;
 }
@@ -417,11 +475,14 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
                                          certificate.text("dcc:name/dcc:content", measurement)));
     }
     ListReader reader(certificate, problems);
-    constexpr const char* kValues =
+    const std::string values = fmt::format(
         "dcc:results//si:realListXMLList[not(ancestor::dcc:metaData)]"
-        "[not(ancestor::dcc:list[starts-with(@refType, 'abc_correlation') or @refType = 'abc_budgetLine'])]";
-    for (xmlNode* list : certificate.nodes(kValues, measurement)) reader.read(list, numbers);
+        "[not(ancestor::dcc:list[starts-with(@refType, 'abc_correlation') or @refType = 'abc_budgetLine'])]"
+        "[not(ancestor::dcc:result[@refType = '{}'])]",
+        kStateType);
+    for (xmlNode* list : certificate.nodes(values, measurement)) reader.read(list, numbers);
     read_correlations(certificate, measurement, numbers);
+    reader.read_state(measurement, numbers);
     fill_gravity(certificate, measurement, result);
     fill_stage(certificate, measurement, result);
     result.estimator = certificate.text(

@@ -63,7 +63,8 @@ CertificateEvidence judge_certificate(const std::string& name, const std::string
     result.checks.push_back({"register against " + finding.what, finding.good, finding.found});
   const auto status = opened->status_of(result.number);
   result.status = status ? std::string(status->word()) : "not known";
-  const std::string words = status ? status->words() : "the register did not give this number";
+  const std::string words =
+      status ? status->words().english() : std::string("the register did not give this number");
   result.checks.push_back({"status of certificate " + result.number, status && status->holds(), words});
   result.words = result.is_good()
                      ? fmt::format("Certificate {} is as the laboratory issued it, and holds.", result.number)

@@ -21,9 +21,11 @@
 #include "app/laboratory/issuing/run_evidence.h"
 #include "app/laboratory/issuing/run_sources.h"
 #include "app/results/analysis/load_record.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/system/interrupt.h"
 #include "app/system/read_file.h"
 #include "app/witness/time_stamp_authority.h"
+#include "app/witness/witness_client.h"
 #include "drivers/text/text.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
@@ -40,10 +42,10 @@ void require_replaced_of_this_item(const IssueAsked& asked) {
     if (item == certified) continue;
     for (const IssuedCertificate& issued : ResultsFile::certificates(asked.run, item))
       if (issued.number == asked.replaces)
-        throw std::invalid_argument(fmt::format(
-            "--replaces {}: is of item {}, another item of {}; required: a certificate of item {}, which is "
-            "to be certified",
-            asked.replaces, item, asked.run, certified));
+        throw std::invalid_argument(
+            fmt::format("--replaces {}: is of item {}, another item of {}; required: a certificate of item "
+                        "{}, which is to be certified",
+                        asked.replaces, item, asked.run, certified));
   }
 }
 
@@ -78,10 +80,9 @@ void require_replaced_xml_of_item(const IssueAsked& asked, const std::string& xm
                                              one_line(data.label("item.model")),
                                              one_line(data.label("item.serial_number"))};
   if (found == certified) return;
-  throw std::invalid_argument(
-      fmt::format("--replaced {}: certificate {} is of {}, another item; required: one of {}, which is to be "
-                  "certified",
-                  asked.replaced_xml, asked.replaces, fmt::join(found, " "), fmt::join(certified, " ")));
+  throw std::invalid_argument(fmt::format(
+      "--replaced {}: certificate {} is of {}, another item; required: one of {}, which is to be certified",
+      asked.replaced_xml, asked.replaces, fmt::join(found, " "), fmt::join(certified, " ")));
 }
 
 /// The XML of the certificate that is replaced: kept with the run, or else given as a file.
@@ -109,8 +110,7 @@ std::string xml_of_replaced(const IssueAsked& asked, Registered* registered, con
   const auto status = registered->opened.status_of(asked.replaces);
   if (!status || status->record.xml_sha256 != evidence.certificate->xml_sha256)
     throw std::invalid_argument(fmt::format(
-        "--replaced {}: is not the certificate {} that the register knows; required: the XML with "
-        "SHA-256 {}",
+        "--replaced {}: is not the certificate {} that the register knows; required: the XML with SHA-256 {}",
         asked.replaced_xml, asked.replaces, status ? status->record.xml_sha256 : "of the register"));
   return xml;
 }
@@ -243,7 +243,7 @@ void take_number(Registered& registered, Certificate& certificate, const Clock& 
 
 /// With a register, an approver signs with a key of their own that the register knows.
 /// @param from  source of the certificate of the key, for messages
-void require_own_key(Registered& registered, const std::string& certificate_pem, const std::string& from,
+void require_own_key(Registered& registered, const std::string& certificate_pem, const Message& from,
                      Clock::UtcTime now) {
   const CertificateSubject subject = subject_of(certificate_pem);
   const std::string fingerprint = fingerprint_of(subject.public_pem), today = format_utc(now);
@@ -251,23 +251,36 @@ void require_own_key(Registered& registered, const std::string& certificate_pem,
   for (const lab::SigningKey& key : registered.opened.keys()) {
     if (key.fingerprint != fingerprint || key.kind != "person" || key.owner != approver) continue;
     if (!key.valid_to.empty())
-      throw std::invalid_argument(
-          fmt::format("{}: the key of \"{}\" was retired on {}; required: a key that is valid", from,
-                      subject.name, key.valid_to));
+      throw Telling<std::invalid_argument>(
+          Message("{from}: the key of \"{name}\" was retired on {date}; required: a key that is valid", from,
+                  subject.name, key.valid_to));
     if (today < subject.valid_from_utc || today > subject.valid_to_utc)
-      throw std::invalid_argument(fmt::format(
-          "{}: the certificate of \"{}\" is valid from {} to {}; required: one that is valid today", from,
-          subject.name, subject.valid_from_utc, subject.valid_to_utc));
+      throw Telling<std::invalid_argument>(
+          Message("{from}: the certificate of \"{name}\" is valid from {begin} to {end}; required: one that "
+                  "is valid today",
+                  from, subject.name, subject.valid_from_utc, subject.valid_to_utc));
     return;
   }
-  throw std::invalid_argument(fmt::format(
-      "{}: the key of \"{}\", which is none of {}'s in the register; required: a key of the approver's own "
-      "(abcal lab key \"{}\" --kind person --certificate FILE)",
-      from, subject.name, approver, approver));
+  throw Telling<std::invalid_argument>(
+      Message("{from}: the key of \"{name}\", which is none of {approver}'s in the register; required: a key "
+              "of the approver's own (abcal lab key \"{owner}\" --kind person --certificate FILE)",
+              from, subject.name, approver, approver));
 }
 
+/// The register cannot forget what a witness signed of it: whoever issues does not choose to do without one.
+/// @throws std::invalid_argument  if ABCAL_WITNESS=none declines the witness of a register that has one
 void use_witness(Registered& registered) {
   if (!registered.witness) registered.witness = head_witness(registered.opened.facts().identity);
+  const std::optional<std::int64_t> newest = registered.opened.newest_witnessed_head();
+  if (!registered.witness && newest) {
+    if (WitnessClient::is_declined())
+      throw std::invalid_argument(
+          fmt::format("ABCAL_WITNESS=none: found a register whose state a witness has signed, last at entry "
+                      "{}; required: "
+                      "that witness. Unset ABCAL_WITNESS",
+                      *newest));
+    registered.witness = [](std::int64_t, const std::string&) { return std::nullopt; };  // A warning says so.
+  }
   registered.opened.set_witness(registered.witness);
 }
 
@@ -278,13 +291,15 @@ struct EvidenceOfRuns {
 };
 
 EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
-  std::vector<std::string> runs{asked.run};
+  const std::vector<std::string> calibration = runs_of_file(asked.run);
+  std::vector<std::string> runs = calibration;
   if (!asked.certificate.as_found.empty()) runs.push_back(asked.certificate.as_found);
   runs.insert(runs.end(), asked.certificate.temperature.begin(), asked.certificate.temperature.end());
   lab::Register* opened = registered == nullptr ? nullptr : &registered->opened;
   Trust trust;
   if (opened != nullptr) trust.keys = bench_keys(*opened);
   EvidenceOfRuns of_all;
+  std::size_t witnessed = 0;
   for (const std::string& run : runs) {
     if (!RunFile::looks_like_run_file(run) || !RunFile::is_closed(run))
       continue;  // make_certificate() reports it.
@@ -294,8 +309,11 @@ EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
       if (!check.good && check.what != kWitnessRequired)
         of_all.problems += fmt::format("\n  {}, {}: {}", run, check.what, check.found);
     if (missing.empty()) {
-      if (evidence.is_witnessed && run == asked.run)
-        of_all.witnessing = {evidence.witness, evidence.angles, {}};
+      if (evidence.is_witnessed && std::ranges::find(calibration, run) != calibration.end()) {
+        ++witnessed;
+        of_all.witnessing.by = evidence.witness;
+        of_all.witnessing.angles += evidence.angles;
+      }
     } else if (asked.not_witnessed.empty()) {
       of_all.problems += fmt::format(
           "\n  {}: {}; to certify it all the same, the approver states why: --not-witnessed TEXT, which is "
@@ -305,6 +323,8 @@ EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
       of_all.witnessing = {{}, 0, asked.not_witnessed};
     }
   }
+  // A witness of some runs of a measurement is none of the measurement.
+  if (witnessed < calibration.size() && of_all.witnessing.statement.empty()) of_all.witnessing = {};
   return of_all;
 }
 
@@ -320,6 +340,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   if (!asked.certificate.as_found.empty())
     request.as_found = gather_same_item("--as-found", asked.certificate.as_found, request.run, now);
   add_monte_carlo(request);
+  request.together = gather_runs(request.run, now);
   request.series = gather_series(asked.certificate.temperature, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
   request.issue->witnessing = evidence.witnessing;
@@ -347,11 +368,12 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, const Cl
       return outcome;
     }
     if (!asked.key.empty())
-      require_own_key(*registered, read_file(asked.key_certificate), "--certificate " + asked.key_certificate,
-                      clock.utc_now());
+      require_own_key(*registered, read_file(asked.key_certificate),
+                      Message("--certificate {file}", asked.key_certificate), clock.utc_now());
   }
-  if (RunFile::is_closed(asked.run))
-    if (const auto why = stamp_if_configured(asked.run)) outcome.warnings.push_back(*why);
+  for (const std::string& run : runs_of_file(asked.run))
+    if (RunFile::is_closed(run))
+      if (const auto why = stamp_if_configured(run)) outcome.warnings.push_back(*why);
   const DccSchema schema = schema_of(asked.certificate);
   const Certificate certificate = numbered_certificate(asked, registered, clock, outcome.warnings);
   std::optional<SigningKey> key;
@@ -372,8 +394,9 @@ AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered
   if (const auto known = record_kept_certificate(registered, asked, clock, awaited.warnings))
     throw std::invalid_argument(
         fmt::format("certificate {} is kept with the run; the register knows it now", *known));
-  if (RunFile::is_closed(asked.run))
-    if (const auto why = stamp_if_configured(asked.run)) awaited.warnings.push_back(*why);
+  for (const std::string& run : runs_of_file(asked.run))
+    if (RunFile::is_closed(run))
+      if (const auto why = stamp_if_configured(run)) awaited.warnings.push_back(*why);
   const DccSchema schema = schema_of(asked.certificate);
   const Certificate certificate = numbered_certificate(asked, &registered, clock, awaited.warnings);
   awaited.prepared = prepare_certificate(certificate, &schema);
@@ -386,7 +409,7 @@ IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& si
                           Registered& registered, const Clock& clock) {
   use_witness(registered);
   const std::string pem = certificate_of_signature(awaited.prepared.issued.xml, signed_xml);
-  require_own_key(registered, pem, "the signature", clock.utc_now());
+  require_own_key(registered, pem, Message("the signature"), clock.utc_now());
   const DccSchema schema = schema_of(awaited.files);
   IssueOutcome outcome;
   outcome.warnings = awaited.warnings;
@@ -398,12 +421,13 @@ IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& si
   return outcome;
 }
 
-std::optional<std::string> why_not_approve(const lab::Person& approver, const StoredRun& run) {
+std::optional<Message> why_not_approve(const lab::Person& approver, const StoredRun& run) {
   if (!approver.may(lab::Right::kApprove))
-    return fmt::format("{} may not approve; required: a person with the right to approve", approver.name);
+    return Message("{person} may not approve; required: a person with the right to approve", approver.name);
   for (const RunOperator& who : operators_of(run))
     if (who.name == approver.name)
-      return fmt::format("{} has measured the run; required: another person who may approve", approver.name);
+      return Message("{person} has measured the run; required: another person who may approve",
+                     approver.name);
   return std::nullopt;
 }
 

@@ -79,6 +79,6 @@ IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& si
 
 /// Whether the approver may approve: has the right, and is not an operator of the run.
 /// @return the reason why not, in words; absent: may approve
-std::optional<std::string> why_not_approve(const lab::Person& approver, const StoredRun& run);
+std::optional<Message> why_not_approve(const lab::Person& approver, const StoredRun& run);
 
 }  // namespace abcal

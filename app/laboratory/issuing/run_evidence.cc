@@ -1,6 +1,7 @@
 #include "app/laboratory/issuing/run_evidence.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <iterator>
@@ -10,9 +11,13 @@
 #include "app/laboratory/certificate/series_files.h"
 #include "app/laboratory/certificate/signature_checks.h"
 #include "app/laboratory/issuing/evidence_files.h"
+#include "app/laboratory/register/find_operator.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/recompute.h"
 #include "app/witness/witness_check.h"
 #include "protocol/record/results_file.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
@@ -64,6 +69,37 @@ bool has_issued_certificate(const std::filesystem::path& run, lab::Register& ope
                             &lab::CertificateRecord::state) > 0;
 }
 
+/// Compares what the run says of the register with what the register says itself: anybody can make a register
+/// with its name. The register knows that the operator was logged in, as that login told it of the run.
+void check_words_about_register(const std::filesystem::path& run, lab::Register& opened,
+                                std::vector<IntegrityCheck>& checks) {
+  if (has_issued_certificate(run, opened))
+    return;  // It was accepted then, and the register names its SHA-256.
+  const StoredRun stored = RunFile::load(run);
+  std::vector<std::string> logged_in;
+  for (const RunOperator& who : operators_of(stored))
+    if (who.register_identity == opened.facts().identity) logged_in.push_back(who.name);
+  if (logged_in.empty()) return;
+  const std::string told_by = opened.told_by(sha256_of_file(run));
+  const bool is_told = std::ranges::find(logged_in, told_by) != logged_in.end();
+  checks.push_back(
+      {"register, operator", is_told,
+       is_told
+           ? fmt::format("{} was logged in to this register, which was told of the run", told_by)
+           : fmt::format(
+                 "the run says that {} was logged in to this register, which {}; required: a run that "
+                 "was measured with it, or `abcal lab add run {}` by who measured it",
+                 fmt::join(logged_in, ", "),
+                 told_by.empty() ? "does not know the run" : "was told of it by " + told_by, run.string())});
+  const auto label = stored.header.labels.find(kCalibrationsLabel);
+  if (label == stored.header.labels.end()) return;
+  const std::vector<std::string> unknown = unknown_calibrations(opened, label->second);
+  checks.push_back({"register, calibrations", unknown.empty(),
+                    unknown.empty() ? "those that the run states are in the register"
+                                    : fmt::format("the run states {}, which the register does not have so",
+                                                  fmt::join(unknown, ", "))});
+}
+
 }  // namespace
 
 bool RunEvidence::is_good() const {
@@ -106,6 +142,7 @@ RunEvidence judge_run(const std::filesystem::path& run, const Trust& trust, lab:
   add_certificates(run, opened, evidence.checks);
   if (opened == nullptr) return evidence;
   compare_with_register(run, *opened, evidence.checks);
+  check_words_about_register(run, *opened, evidence.checks);
   if (const std::string missing = missing_witness(evidence, *opened); !missing.empty()) {
     const bool is_registered = has_issued_certificate(run, *opened);
     evidence.checks.push_back(
@@ -114,6 +151,33 @@ RunEvidence judge_run(const std::filesystem::path& run, const Trust& trust, lab:
                        : missing});
   }
   return evidence;
+}
+
+RunEvidence judge_measurement(const std::filesystem::path& measurement, const Trust& trust,
+                              lab::Register* opened) {
+  const AnalysedRun analysed = analyse_file(measurement);  // Each file is found by its SHA-256.
+  RunEvidence all;
+  all.checks = check_analyses(measurement, analysed);
+  all.is_signed = all.is_stamped = all.is_witnessed = true;
+  for (const RunOfMeasurement& run : analysed.runs) {
+    RunEvidence evidence = judge_run(run.file, trust, opened);
+    const std::string name = std::filesystem::path(run.file).filename().string();
+    all.is_signed = all.is_signed && evidence.is_signed;
+    all.is_stamped = all.is_stamped && evidence.is_stamped;
+    all.is_witnessed = all.is_witnessed && evidence.is_witnessed;
+    all.is_simulated = all.is_simulated || evidence.is_simulated;
+    all.angles += evidence.angles;
+    for (IntegrityCheck& check : evidence.checks) {
+      check.what = fmt::format("{}, {}", name, check.what);
+      all.checks.push_back(std::move(check));
+    }
+    all.words += fmt::format("{}{}: {}", all.words.empty() ? "" : "\n", name, evidence.words);
+    all.witness_words +=
+        fmt::format("{}{}: {}", all.witness_words.empty() ? "" : "; ", name, evidence.witness_words);
+  }
+  add_certificates(measurement, opened, all.checks);
+  if (opened != nullptr) compare_with_register(measurement, *opened, all.checks);
+  return all;
 }
 
 }  // namespace abcal

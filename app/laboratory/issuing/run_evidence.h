@@ -41,4 +41,9 @@ std::vector<TrustedKey> bench_keys(lab::Register& opened);
 /// @throws RunFileError, lab::RegisterError, ProgramMissing, RunInterrupted
 RunEvidence judge_run(const std::filesystem::path& run, const Trust& trust, lab::Register* opened);
 
+/// Judges a measurement: its files, each of its runs as judge_run() does, and its stored analyses. It is
+/// signed, stamped or witnessed if each run is.
+RunEvidence judge_measurement(const std::filesystem::path& measurement, const Trust& trust,
+                              lab::Register* opened);
+
 }  // namespace abcal

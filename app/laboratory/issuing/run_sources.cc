@@ -10,10 +10,12 @@
 #include "app/formats/xml_query.h"
 #include "app/laboratory/certificate/traceability.h"
 #include "app/laboratory/register/login.h"
+#include "app/results/analysis/stage_record_use.h"
 #include "app/system/real_clock.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/sha256.h"
+#include "protocol/record/stage_record.h"
 
 namespace abcal {
 namespace {
@@ -42,6 +44,8 @@ std::vector<std::string> roles_of(const StoredRun& run, const Equipment& one) {
     const std::string& source = run.header.g_loc.source;
     if (names_number(source, one.certificate) || names_number(source, one.serial_number))
       roles.emplace_back("local gravity");
+  } else if (one.quantity == lab::kStageRecordQuantity) {
+    if (one.certificate_sha256 == sha256_of_stage_record(run)) roles.emplace_back(kStageRecordSource);
   } else {
     roles.push_back(one.quantity);
   }
@@ -121,9 +125,8 @@ CertificateFacts certificate_facts(const std::string& name, const std::string& x
   facts.addressee.language = certificate.text("dcc:administrativeData/dcc:coreData/dcc:usedLangCodeISO639_1");
   facts.run_sha256s = certificate.texts(
       "dcc:measurementResults/dcc:measurementResult/dcc:measurementMetaData/"
-      "dcc:metaData[@refType='abc_rawDataHash' or starts-with(@refType, "
-      "'abc_seriesPoint')]/dcc:data/dcc:text/"
-      "dcc:content");
+      "dcc:metaData[@refType='abc_rawDataHash' or @refType='abc_runHash' or starts-with(@refType, "
+      "'abc_seriesPoint')]/dcc:data/dcc:text/dcc:content");
   return facts;
 }
 

@@ -12,8 +12,9 @@
 namespace abcal {
 
 /// The records that a run rests on: calibrations of its stage and voltmeter by their serial numbers, those
-/// that local gravity and the sizes of effects name as their sources, and all for other quantities, since no
-/// run records which thermometer was in the room. Equipment of another stage or voltmeter is left out.
+/// that local gravity and the sizes of effects name as their sources, the record of its stage, and all for
+/// other quantities, since no run records which thermometer was in the room. Equipment of another stage or
+/// voltmeter is left out.
 /// @param equipment  with the calibrations that held when the run began
 std::vector<lab::UsedSource> sources_of(const StoredRun& run, const std::vector<Equipment>& equipment);
 

@@ -10,11 +10,10 @@ namespace abcal::lab {
 
 /// The sources of runs that a name means: of a record, or identity or serial number of equipment.
 inline std::string named_sources() {
-  return "select run_sha256, kind, name, serial_number, role from used_source where name = :name"
-         " union select run_sha256, kind, name, serial_number, role from used_source where serial_number = "
-         ":name"
-         " union select u.run_sha256, u.kind, u.name, u.serial_number, u.role from calibration c"
-         " join used_source u on u.name = c.certificate where c.equipment = :name";
+  return "select run_sha256, kind, name, serial_number, role from used_source where name = :name union "
+         "select run_sha256, kind, name, serial_number, role from used_source where serial_number = :name "
+         "union select u.run_sha256, u.kind, u.name, u.serial_number, u.role from calibration c join "
+         "used_source u on u.name = c.certificate where c.equipment = :name";
 }
 
 /// Runs with their sources in question: 8 columns.
@@ -26,16 +25,16 @@ inline std::string affected_runs() {
 
 /// Certificates of these runs, and the certificate of this number, with their addressees: 16 columns.
 inline std::string affected_certificates() {
-  return "select c.number, c.state, c.run_sha256, c.xml_sha256, c.item, c.measured_by, c.approved_by,"
-         " c.issue_date, c.replaces, c.reason, c.utc, c.approval, a.name, a.address, a.email, a.language "
-         "from (" +
+  return "select c.number, c.state, c.run_sha256, c.xml_sha256, c.item, c.measured_by, c.approved_by, "
+         "c.issue_date, c.replaces, c.reason, c.utc, c.approval, a.name, a.address, a.email, a.language from "
+         "(" +
          ("select m.number as number from (" + named_sources() +
           ") s join certificate m on m.run_sha256 = s.run_sha256") +
          (" union select f.certificate as number from (" + named_sources() +
           ") s join certified_run f on f.run_sha256 = s.run_sha256") +
-         " union select number from certificate where number = :name) n"
-         " join certificate c on c.number = n.number left join addressee a on a.certificate = c.number"
-         " where c.state <> 'reserved' order by c.number";
+         " union select number from certificate where number = :name) n join certificate c on c.number = "
+         "n.number left join addressee a on a.certificate = c.number where c.state <> 'reserved' order by "
+         "c.number";
 }
 
 }  // namespace abcal::lab

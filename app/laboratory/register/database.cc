@@ -30,8 +30,7 @@ const soci::backend_factory& backend(const std::string& name) {
   void* handle = ::dlopen(library.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (handle == nullptr)
     throw RegisterError(
-        fmt::format("{} cannot be loaded ({}); install libsoci-{} of the version that abcal was built "
-                    "with",
+        fmt::format("{} cannot be loaded ({}); install libsoci-{} of the version that abcal was built with",
                     library, ::dlerror(), name));
   using Factory = const soci::backend_factory*();
   auto* make = reinterpret_cast<Factory*>(::dlsym(handle, ("factory_" + name).c_str()));
@@ -168,8 +167,8 @@ void Database::insert(std::string_view table, const std::vector<Parameter>& row)
 bool Database::has_register() {
   const std::string tables =
       impl_->one_file ? "select name from sqlite_master where type = 'table' and name = 'schema_step'"
-                      : "select table_name from information_schema.tables where table_name = 'schema_step'"
-                        " and table_schema = current_schema()";
+                      : "select table_name from information_schema.tables where table_name = 'schema_step' "
+                        "and table_schema = current_schema()";
   return !query(1, tables).empty();
 }
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
@@ -50,6 +51,30 @@ std::string calibrations_of(lab::Register& opened, const std::string& today) {
 }
 
 }  // namespace
+
+std::vector<std::string> unknown_calibrations(lab::Register& opened, const std::string& calibrations_json) {
+  nlohmann::json known = nlohmann::json::array();
+  const std::vector<lab::Calibration> calibrations = opened.calibrations();
+  for (const lab::Equipment& equipment : opened.equipment())
+    for (const lab::Calibration& calibration : calibrations)
+      if (calibration.equipment == equipment.identity)
+        known.push_back(nlohmann::json(to_json(equipment, calibration)));
+  // Earlier versions stated fewer members.
+  const auto is_stated_by = [](const nlohmann::json& stated, const nlohmann::json& one) {
+    return std::ranges::all_of(stated.items(), [&](const auto& member) {
+      const auto found = one.find(member.key());
+      return found != one.end() && *found == member.value();
+    });
+  };
+  std::vector<std::string> unknown;
+  const nlohmann::json all = nlohmann::json::parse(calibrations_json, nullptr, false);
+  if (!all.is_array()) return {"of no certificate"};
+  for (const nlohmann::json& stated : all)
+    if (std::ranges::none_of(known, [&](const nlohmann::json& one) { return is_stated_by(stated, one); }))
+      unknown.push_back(stated.is_object() ? stated.value("certificate", "of no certificate")
+                                           : "of no certificate");
+  return unknown;
+}
 
 RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now, const std::string& login) {
   const std::string location = lab::register_location({});

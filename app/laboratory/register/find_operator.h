@@ -1,7 +1,9 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
+#include "app/laboratory/register/register.h"
 #include "app/witness/laboratory_link.h"
 #include "drivers/instrument/clock.h"
 
@@ -14,5 +16,10 @@ namespace abcal {
 /// @throws std::runtime_error     if the register cannot be read, or nobody is logged in
 /// @throws std::invalid_argument  if that person may not measure, or the bench file names another
 RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now, const std::string& login = {});
+
+/// Calibrations that a run states as the register's, and the register does not have as they are stated.
+/// @param calibrations_json  RegisteredStart::calibrations_json
+/// @return numbers of their certificates
+std::vector<std::string> unknown_calibrations(lab::Register& opened, const std::string& calibrations_json);
 
 }  // namespace abcal

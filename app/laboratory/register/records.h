@@ -6,6 +6,8 @@
 #include <string_view>
 #include <vector>
 
+#include "drivers/text/message.h"
+
 // Contents of the register as plain data. Dates are "2026-03-01", times as format_utc() writes them; an empty
 // text: not stated.
 
@@ -163,6 +165,9 @@ struct UsedSource {
   std::string role;           ///< For what it was used: "angle of the stage; wobble_urad".
 };
 inline constexpr const char* kCalibrationKind = "calibration";
+/// The quantity under which equipment is a record of the errors of a stage: its calibrations are the record
+/// as it was learned from time to time.
+inline constexpr const char* kStageRecordQuantity = "stage record";
 inline constexpr const char* kCertificateKind = "certificate";
 
 /// A run as the register knows it, with all that it rests on.
@@ -206,7 +211,7 @@ struct CertificateStatus {
   /// "valid", "amended", "withdrawn" or "not issued".
   std::string_view word() const;
   /// "withdrawn on 2026-03-01 because TEXT; amended by EX-2026-0007 on 2026-03-02"
-  std::string words() const;
+  Message words() const;
 };
 
 /// A certificate of a run that rests on a record.

@@ -255,12 +255,16 @@ void Register::append_entry(AuditEntry entry, const AuditEntry& predecessor) {
 
 std::vector<AuditEntry> Register::audit() {
   std::vector<AuditEntry> entries;
-  for (auto& row :
-       database_.query(8,
-                       "select entry, utc, who, what, subject, before_json, after_json, chain from audit"
-                       " order by entry"))
+  for (auto& row : database_.query(
+           8,
+           "select entry, utc, who, what, subject, before_json, after_json, chain from audit order by entry"))
     entries.push_back({std::stoul(row[0]), row[1], row[2], row[3], row[4], row[5], row[6], row[7]});
   return entries;
+}
+
+std::optional<std::int64_t> Register::newest_witnessed_head() {
+  const auto rows = database_.query(1, "select entries from witnessed_head order by entries desc limit 1");
+  return rows.empty() ? std::nullopt : std::optional<std::int64_t>(std::stoll(rows[0][0]));
 }
 
 std::vector<RegisterFinding> Register::verify() {
@@ -301,13 +305,12 @@ std::vector<RegisterFinding> Register::verify() {
        each_once ? fmt::format("{} given, each once", count[0][0])
                  : fmt::format("{} given, {} known", given.empty() ? "?" : given[0][0], count[0][0])});
 
-  const auto witnessed = database_.query(2, "select count(*), max(entries) from witnessed_head");
-  if (witnessed[0][0] != "0") {
-    const std::int64_t newest = std::stoll(witnessed[0][1]);
+  if (const std::optional<std::int64_t> newest = newest_witnessed_head()) {
+    const auto heads = database_.query(1, "select count(*) from witnessed_head");
     const std::int64_t count_of_entries = static_cast<std::int64_t>(entries.size());
-    findings.push_back({"witnessed heads", newest <= count_of_entries,
-                        fmt::format("{}, the newest of entry {}; the audit has {} entries", witnessed[0][0],
-                                    newest, count_of_entries)});
+    findings.push_back({"witnessed heads", *newest <= count_of_entries,
+                        fmt::format("{}, the newest of entry {}; the audit has {} entries", heads[0][0],
+                                    *newest, count_of_entries)});
   }
   reading.commit();
   return findings;

@@ -110,7 +110,8 @@ class Register {
   void add_equipment(const LoggedIn& by, const Equipment& equipment, Clock::UtcTime now);
   void retire_equipment(const LoggedIn& by, const std::string& identity, const std::string& reason,
                         Clock::UtcTime now);
-  /// Adds a calibration to its equipment; all its problems are reported at once.
+  /// Adds a calibration to its equipment; all its problems are reported at once. A record of a stage is added
+  /// with its SHA-256 by the person who approves it.
   void add_calibration(const LoggedIn& by, const Calibration& calibration, Clock::UtcTime now);
   void add_item(const LoggedIn& by, const Item& item, Clock::UtcTime now);
   void add_key(const LoggedIn& by, const SigningKey& key, Clock::UtcTime now);
@@ -172,6 +173,8 @@ class Register {
   /// Stores a run and what it rests on. What the register knows already stays; what is new is added.
   /// @return whether anything was new
   bool tell_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now);
+  /// Who was logged in when the register was first told of a run; empty: it does not know the run.
+  std::string told_by(const std::string& run_sha256);
   /// Stores to whom a certificate was issued, and further runs that it is of, unless the register knows it.
   /// @return whether anything was new
   bool tell_certificate(const LoggedIn& by, const std::string& number, const Addressee& addressee,
@@ -203,6 +206,8 @@ class Register {
   std::vector<RegisterFinding> compare_with(const RegisterEvidence& evidence);
   /// The part of compare_with() about the audit; nullopt if the evidence names no entry.
   std::optional<RegisterFinding> compare_audit_with(const RegisterEvidence& evidence);
+  /// Entry of the newest head that a witness signed; nullopt: none did.
+  std::optional<std::int64_t> newest_witnessed_head();
   /// From now on this witness signs the heads of the audit when a number is given and when a certificate is
   /// issued: before, so that nothing is written if it refuses, and after. Empty: none does.
   void set_witness(HeadWitness witness) { witness_ = std::move(witness); }
@@ -264,6 +269,8 @@ class Register {
   std::string row_json(const std::string& table, const std::string& key);
   void require(const LoggedIn& by, Right right) const;
   void require_new(const std::string& table, const std::string& key);
+  /// Whether equipment of this identity is a record of a stage.
+  bool is_stage_record(const std::string& identity);
   void require_known(const std::string& table, const std::string& key);
   void require_not_blocked(const NumberRequest& request);
   void require_not_withdrawn(const NumberRequest& request);

@@ -56,8 +56,8 @@ bool Register::witness_head(std::vector<std::string>& warnings) {
     return false;
   }
   database_.execute(
-      "insert into witnessed_head(entries, line, signature) values(:entries, :line, :signature)"
-      " on conflict(entries) do nothing",
+      "insert into witnessed_head(entries, line, signature) values(:entries, :line, :signature) on "
+      "conflict(entries) do nothing",
       {{"entries", std::to_string(head.entries)}, {"line", answer->line}, {"signature", answer->signature}});
   transaction.commit();
   return true;
@@ -100,14 +100,13 @@ ReservedNumber Register::reserve_number(const LoggedIn& by, const NumberRequest&
 
 std::string Register::clock_before_last_certificate(Clock::UtcTime now) {
   const auto rows = database_.query(3,
-                                    "select entry, utc, subject from audit where entry ="
-                                    " (select max(entry) from audit where subject like 'certificate/%')");
+                                    "select entry, utc, subject from audit where entry = (select max(entry) "
+                                    "from audit where subject like 'certificate/%')");
   const std::string utc = format_utc(now + waited_);
   if (rows.empty() || !runs_backwards(rows[0][1], utc)) return {};
   return fmt::format(
       "the clock says {}, before {} of entry {} of the register, which is of {}; the certificate has its "
-      "date "
-      "from this clock; required: a clock that is right",
+      "date from this clock; required: a clock that is right",
       utc, rows[0][1], rows[0][0], rows[0][2]);
 }
 
@@ -128,10 +127,9 @@ std::string Register::give_number(const LoggedIn& by, const NumberRequest& reque
           fmt::format("this run has certificate {} already; amend it with --replaces {} --reason TEXT",
                       one.number, one.number));
     if (one.state == kWithdrawn && one.number != request.replaces && successor_of(one.number).empty())
-      throw RegisterError(
-          fmt::format("certificate {} of this run was withdrawn; a new one replaces it: --replaces {} "
-                      "--reason TEXT",
-                      one.number, one.number));
+      throw RegisterError(fmt::format(
+          "certificate {} of this run was withdrawn; a new one replaces it: --replaces {} --reason TEXT",
+          one.number, one.number));
   }
   if (!request.replaces.empty()) {
     const auto replaced =
@@ -146,10 +144,10 @@ std::string Register::give_number(const LoggedIn& by, const NumberRequest& reque
           fmt::format("certificate {}: was withdrawn and is replaced by {}; required: --replaces {}",
                       request.replaces, successor, successor));
     if (replaced[0][2] != request.item)
-      throw RegisterError(fmt::format(
-          "certificate {}: is of {}, another item; required: one of {}, which is to be certified. A "
-          "certificate that names the wrong item is not replaced by one of another",
-          request.replaces, replaced[0][2], request.item));
+      throw RegisterError(
+          fmt::format("certificate {}: is of {}, another item; required: one of {}, which is to be "
+                      "certified. A certificate that names the wrong item is not replaced by one of another",
+                      request.replaces, replaced[0][2], request.item));
   }
   const auto last =
       database_.query(1, "update counter set last = last + 1 where name = 'certificate' returning last");
@@ -215,8 +213,8 @@ void Register::write_issued(const LoggedIn& by, const std::string& number, const
       sha256_of(fmt::format("{}\n{}\n{}\n{}\n{}", number, record.run_sha256, xml_sha256, by.name(), utc));
   change({by.name(), "certificate approved and issued", "certificate", number, {}}, now, [&] {
     database_.execute(
-        "update certificate set state = 'issued', xml_sha256 = :xml, approved_by = :by, issue_date = :date,"
-        " utc = :utc, approval = :approval where number = :number",
+        "update certificate set state = 'issued', xml_sha256 = :xml, approved_by = :by, issue_date = :date, "
+        "utc = :utc, approval = :approval where number = :number",
         {{"xml", xml_sha256},
          {"by", by.name()},
          {"date", issue_date},
@@ -228,8 +226,8 @@ void Register::write_issued(const LoggedIn& by, const std::string& number, const
     // One that was withdrawn stays so: its successor names it.
     change({by.name(), "certificate replaced", "certificate", record.replaces, record.reason}, now, [&] {
       database_.execute(
-          "update certificate set state = case state when 'withdrawn' then state else 'replaced' end,"
-          " utc = :utc where number = :number",
+          "update certificate set state = case state when 'withdrawn' then state else 'replaced' end, utc = "
+          ":utc where number = :number",
           {{"utc", utc}, {"number", record.replaces}});
     });
   }

@@ -74,8 +74,7 @@ std::vector<CheckStandard> Register::check_standards() {
   std::vector<CheckStandard> list;
   for (const auto& row : database_.query(6,
                                          "select name, item, baseline_json, approved_by, approved_utc, "
-                                         "retired from check_standard order by "
-                                         "name"))
+                                         "retired from check_standard order by name"))
     list.push_back({row[0], row[1], row[2], row[3], row[4], row[5]});
   return list;
 }
@@ -143,12 +142,11 @@ CheckPoint Register::add_check_point(const LoggedIn& by, CheckPoint point, std::
 
 std::vector<CheckPoint> Register::check_points(const std::string& chart) {
   std::vector<CheckPoint> list;
-  for (const auto& row :
-       database_.query(10,
-                       "select identity, check_standard, run_sha256, date, values_json, state, found, "
-                       "begins, added_by, utc"
-                       " from check_point where check_standard = :chart order by length(identity), identity",
-                       {{"chart", chart}}))
+  for (const auto& row : database_.query(
+           10,
+           "select identity, check_standard, run_sha256, date, values_json, state, found, begins, added_by, "
+           "utc from check_point where check_standard = :chart order by length(identity), identity",
+           {{"chart", chart}}))
     list.push_back({row[0], row[1], row[2], row[3], row[4], row[5] == kOutside, row[6], row[7] == kAnew,
                     row[8], row[9]});
   return list;
@@ -174,22 +172,22 @@ void Register::tell_check_run(const LoggedIn& by, CheckRunNotice notice, Clock::
 
 std::vector<CheckRunNotice> Register::waiting_check_runs(const std::string& chart) {
   std::vector<CheckRunNotice> list;
-  for (const auto& row : database_.query(
-           6,
-           "select check_standard, run_sha256, file, date, told_by, utc from check_run"
-           " where check_standard = :chart and run_sha256 not in"
-           " (select run_sha256 from check_point where check_standard = :chart) order by date, identity",
-           {{"chart", chart}}))
+  for (const auto& row :
+       database_.query(6,
+                       "select check_standard, run_sha256, file, date, told_by, utc from check_run where "
+                       "check_standard = :chart and run_sha256 not in (select run_sha256 from check_point "
+                       "where check_standard = :chart) order by date, identity",
+                       {{"chart", chart}}))
     list.push_back({row[0], row[1], row[2], row[3], row[4], row[5]});
   return list;
 }
 
 std::vector<BenchBlock> Register::blocks() {
   std::vector<BenchBlock> list;
-  for (const auto& row : database_.query(
-           9,
-           "select identity, check_standard, stage, bench, found, set_utc, lifted_by, lifted_utc, reason"
-           " from bench_block order by set_utc, identity"))
+  for (const auto& row :
+       database_.query(9,
+                       "select identity, check_standard, stage, bench, found, set_utc, lifted_by, "
+                       "lifted_utc, reason from bench_block order by set_utc, identity"))
     list.push_back({row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]});
   return list;
 }
@@ -270,10 +268,9 @@ std::vector<ScopeEntry> Register::scope() {
     throw RegisterError(fmt::format("register {}: its scope has the number \"{}\"; it is damaged",
                                     without_password(location()), text));
   };
-  for (const auto& row : database_.query(
-           9,
-           "select identity, quantity, unit, range_from, range_to, cmc, kind, valid_from, retired from scope"
-           " order by identity"))
+  for (const auto& row : database_.query(9,
+                                         "select identity, quantity, unit, range_from, range_to, cmc, kind, "
+                                         "valid_from, retired from scope order by identity"))
     list.push_back({row[0], row[1], row[2], number(row[3]), number(row[4]), number(row[5]),
                     row[6] == kRelative, row[7], row[8]});
   return list;

@@ -14,7 +14,8 @@ namespace abcal::lab {
 namespace {
 
 constexpr std::array kQuantities{"angle",    "voltage",  "gravity", "temperature",
-                                 "humidity", "pressure", "level",   "other"};
+                                 "humidity", "pressure", "level",   kStageRecordQuantity,
+                                 "other"};
 
 bool is_date(const std::string& text) {
   if (text.size() != 10 || text[4] != '-' || text[7] != '-') return false;
@@ -112,9 +113,23 @@ void Register::retire_equipment(const LoggedIn& by, const std::string& identity,
   transaction.commit();
 }
 
+bool Register::is_stage_record(const std::string& identity) {
+  return !database_
+              .query(1, "select identity from equipment where identity = :identity and quantity = :quantity",
+                     {{"identity", identity}, {"quantity", kStageRecordQuantity}})
+              .empty();
+}
+
 void Register::add_calibration(const LoggedIn& by, const Calibration& calibration, Clock::UtcTime now) {
-  require(by, Right::kOperate);
-  if (const auto problems = problems_of(calibration, format_utc(now).substr(0, 10)); !problems.empty())
+  const bool is_record = is_stage_record(calibration.equipment);
+  require(by, is_record ? Right::kApprove : Right::kOperate);
+  std::vector<std::string> problems = problems_of(calibration, format_utc(now).substr(0, 10));
+  if (is_record && calibration.sha256.empty())
+    problems.emplace_back("the SHA-256 of the record, which `abcal stage show` prints, is not given");
+  if (is_record && calibration.issuer != by.name())
+    problems.push_back(
+        fmt::format("its issuer is {}; required: who approves it, {}", calibration.issuer, by.name()));
+  if (!problems.empty())
     throw RegisterError(fmt::format("calibration {} of {}: {}", calibration.certificate,
                                     calibration.equipment, fmt::join(problems, "; ")));
   DatabaseTransaction transaction(database_);
@@ -193,10 +208,9 @@ std::vector<Equipment> Register::equipment() {
 
 std::vector<Calibration> Register::calibrations() {
   std::vector<Calibration> list;
-  for (const auto& row : database_.query(
-           7,
-           "select certificate, equipment, issuer, performed, due, sha256, values_json from calibration"
-           " order by equipment, performed"))
+  for (const auto& row : database_.query(7,
+                                         "select certificate, equipment, issuer, performed, due, sha256, "
+                                         "values_json from calibration order by equipment, performed"))
     list.push_back({row[0], row[1], row[2], row[3], row[4], row[5], values_of(row[6])});
   return list;
 }

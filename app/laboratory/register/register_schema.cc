@@ -14,64 +14,51 @@ namespace {
 constexpr std::array kStep1{
     "create table schema_step(step integer primary key, utc text not null, program_version text not null)",
     "create table laboratory(id integer primary key, identity text not null, name text not null, kind text "
-    "not null,"
-    " number_prefix text not null, created_utc text not null)",
+    "not null, number_prefix text not null, created_utc text not null)",
     "create table counter(name text primary key, last integer not null)",
     "create table audit_head(id integer primary key, entries integer not null, chain text not null)",
-    "create table audit(entry integer primary key, utc text not null, who text not null, what text not null,"
-    " subject text not null, before_json text not null, after_json text not null, chain text not null)",
+    "create table audit(entry integer primary key, utc text not null, who text not null, what text not null, "
+    "subject text not null, before_json text not null, after_json text not null, chain text not null)",
     "create table person(name text primary key, role text not null, email text not null, rights text not "
-    "null,"
-    " password text not null, valid_from text not null, valid_to text not null)",
+    "null, password text not null, valid_from text not null, valid_to text not null)",
     "create table login(token_hash text primary key, person text not null references person, created_utc "
-    "text not "
-    "null,"
-    " expires_utc text not null)",
-    "create table signing_key(fingerprint text primary key, owner text not null, kind text not null,"
-    " public_pem text not null, valid_from text not null, valid_to text not null)",
+    "text not null, expires_utc text not null)",
+    "create table signing_key(fingerprint text primary key, owner text not null, kind text not null, "
+    "public_pem text not null, valid_from text not null, valid_to text not null)",
     "create table equipment(identity text primary key, name text not null, maker text not null, model text "
-    "not null,"
-    " serial_number text not null, quantity text not null, retired text not null)",
-    "create table calibration(certificate text primary key, equipment text not null references equipment,"
-    " issuer text not null, performed text not null, due text not null, sha256 text not null, values_json "
-    "text not "
-    "null)",
+    "not null, serial_number text not null, quantity text not null, retired text not null)",
+    "create table calibration(certificate text primary key, equipment text not null references equipment, "
+    "issuer text not null, performed text not null, due text not null, sha256 text not null, values_json "
+    "text not null)",
     "create table item(identity text primary key, maker text not null, model text not null, serial_number "
-    "text not "
-    "null,"
-    " owner text not null, retired text not null)",
+    "text not null, owner text not null, retired text not null)",
     "create table check_standard(name text primary key, item text not null references item, baseline_json "
-    "text not "
-    "null,"
-    " approved_by text not null, approved_utc text not null, retired text not null)",
-    "create table certificate(number text primary key, state text not null, run_sha256 text not null,"
-    " xml_sha256 text not null, item text not null, measured_by text not null, approved_by text not null,"
-    " issue_date text not null, replaces text not null, reason text not null, utc text not null,"
-    " approval text not null)",
+    "text not null, approved_by text not null, approved_utc text not null, retired text not null)",
+    "create table certificate(number text primary key, state text not null, run_sha256 text not null, "
+    "xml_sha256 text not null, item text not null, measured_by text not null, approved_by text not null, "
+    "issue_date text not null, replaces text not null, reason text not null, utc text not null, approval "
+    "text not null)",
     "create index certificate_of_run on certificate(run_sha256)",
 };
 
 // Charts of check standards, their blocks, and the scope of the laboratory.
 constexpr std::array kStep2{
     "create table check_point(identity text primary key, check_standard text not null references "
-    "check_standard,"
-    " run_sha256 text not null, date text not null, values_json text not null, state text not null,"
-    " found text not null, begins text not null, added_by text not null, utc text not null)",
+    "check_standard, run_sha256 text not null, date text not null, values_json text not null, state text not "
+    "null, found text not null, begins text not null, added_by text not null, utc text not null)",
     "create table bench_block(identity text primary key, check_standard text not null references "
-    "check_standard,"
-    " stage text not null, bench text not null, found text not null, set_utc text not null,"
-    " lifted_by text not null, lifted_utc text not null, reason text not null)",
-    "create table scope(identity text primary key, quantity text not null, unit text not null,"
-    " range_from text not null, range_to text not null, cmc text not null, kind text not null,"
-    " valid_from text not null, retired text not null)",
+    "check_standard, stage text not null, bench text not null, found text not null, set_utc text not null, "
+    "lifted_by text not null, lifted_utc text not null, reason text not null)",
+    "create table scope(identity text primary key, quantity text not null, unit text not null, range_from "
+    "text not null, range_to text not null, cmc text not null, kind text not null, valid_from text not null, "
+    "retired text not null)",
 };
 
 // Runs of check standards that wait to be judged.
 constexpr std::array kStep3{
     "create table check_run(identity text primary key, check_standard text not null references "
-    "check_standard,"
-    " run_sha256 text not null, file text not null, date text not null, told_by text not null, utc text not "
-    "null)",
+    "check_standard, run_sha256 text not null, file text not null, date text not null, told_by text not "
+    "null, utc text not null)",
 };
 
 // Heads of the audit that a witness signed.
@@ -81,26 +68,26 @@ constexpr std::array kStep4{
 
 // The records that runs rest on, to whom certificates went, what was withdrawn, how long records are kept.
 constexpr std::array kStep5{
-    "create table known_run(run_sha256 text primary key, file text not null, item text not null,"
-    " date text not null, told_by text not null, utc text not null)",
-    "create table used_source(identity text primary key, run_sha256 text not null references known_run,"
-    " kind text not null, name text not null, serial_number text not null, role text not null)",
+    "create table known_run(run_sha256 text primary key, file text not null, item text not null, date text "
+    "not null, told_by text not null, utc text not null)",
+    "create table used_source(identity text primary key, run_sha256 text not null references known_run, kind "
+    "text not null, name text not null, serial_number text not null, role text not null)",
     "create index used_source_by_name on used_source(name)",
     "create index used_source_by_serial_number on used_source(serial_number)",
     "create index used_source_of_run on used_source(run_sha256)",
     "create index calibration_of_equipment on calibration(equipment)",
-    "create table certified_run(identity text primary key, certificate text not null references certificate,"
-    " run_sha256 text not null)",
+    "create table certified_run(identity text primary key, certificate text not null references certificate, "
+    "run_sha256 text not null)",
     "create index certified_run_by_run on certified_run(run_sha256)",
     "create index certified_run_of_certificate on certified_run(certificate)",
     "create index certificate_by_replaced on certificate(replaces)",
-    "create table addressee(certificate text primary key references certificate, name text not null,"
-    " address text not null, email text not null, language text not null)",
-    "create table withdrawal(identity text primary key, kind text not null, name text not null,"
-    " reason text not null, withdrawn_by text not null, utc text not null)",
+    "create table addressee(certificate text primary key references certificate, name text not null, address "
+    "text not null, email text not null, language text not null)",
+    "create table withdrawal(identity text primary key, kind text not null, name text not null, reason text "
+    "not null, withdrawn_by text not null, utc text not null)",
     "create index withdrawal_by_name on withdrawal(name)",
-    "create table retention(kind text primary key, years text not null, set_by text not null,"
-    " utc text not null)",
+    "create table retention(kind text primary key, years text not null, set_by text not null, utc text not "
+    "null)",
 };
 
 constexpr std::array<std::string_view, 3> kSchemaStep{"step", "utc", "program_version"};
@@ -222,10 +209,9 @@ int schema_step(Database& database) {
   const auto rows = database.query(1, "select max(step) from schema_step");
   const int step = rows.empty() || rows[0][0].empty() ? 0 : std::stoi(rows[0][0]);
   if (step > kNewestSchemaStep)
-    throw RegisterError(
-        fmt::format("register {}: was written by a newer abcal (schema step {}, this program knows {}); "
-                    "update abcal",
-                    without_password(database.location()), step, kNewestSchemaStep));
+    throw RegisterError(fmt::format(
+        "register {}: was written by a newer abcal (schema step {}, this program knows {}); update abcal",
+        without_password(database.location()), step, kNewestSchemaStep));
   return step;
 }
 

@@ -28,8 +28,8 @@ std::vector<Withdrawal> withdrawals_of(const std::vector<Database::Row>& rows) {
   return list;
 }
 
-std::string words_of(const Withdrawal& withdrawal) {
-  return fmt::format("withdrawn on {} because {}", withdrawal.date(), withdrawal.reason);
+Message words_of(const Withdrawal& withdrawal) {
+  return {"withdrawn on {date} because {reason}", withdrawal.date(), withdrawal.reason};
 }
 
 std::string identity_of(const std::string& kind, const std::string& name) {
@@ -60,20 +60,20 @@ std::string_view CertificateStatus::word() const {
   return amended_by.empty() ? "valid" : "amended";
 }
 
-std::string CertificateStatus::words() const {
-  std::string words = training ? "TRAINING, certifies nothing; " : "";
+Message CertificateStatus::words() const {
+  std::vector<Message> words;
+  if (training) words.push_back(Message("TRAINING, certifies nothing"));
   if (withdrawn) {
-    words += words_of(*withdrawn);
+    words.push_back(words_of(*withdrawn));
   } else if (record.state == "reserved") {
-    words += "not issued: its number is given";
+    words.push_back(Message("not issued: its number is given"));
   } else if (amended_by.empty()) {
-    words += fmt::format("valid, issued on {}", record.issue_date);
+    words.push_back(Message("valid, issued on {date}", record.issue_date));
   }
-  if (!amended_by.empty())
-    words += fmt::format("{}amended by {} on {}", withdrawn ? "; " : "", amended_by, amended_on);
+  if (!amended_by.empty()) words.push_back(Message("amended by {number} on {date}", amended_by, amended_on));
   for (const Withdrawal& source : sources_withdrawn)
-    words += fmt::format("; it rests on {} {}, {}", source.kind, source.name, words_of(source));
-  return words;
+    words.push_back(Message("it rests on {kind} {name}, {what}", source.kind, source.name, words_of(source)));
+  return in_sequence(words);
 }
 
 bool Register::note_run(const LoggedIn& by, const RegisteredRun& run, Clock::UtcTime now) {
@@ -111,6 +111,12 @@ bool Register::tell_run(const LoggedIn& by, const RegisteredRun& run, Clock::Utc
   const bool is_new = note_run(by, run, now);
   transaction.commit();
   return is_new;
+}
+
+std::string Register::told_by(const std::string& run_sha256) {
+  const auto rows =
+      database_.query(1, "select told_by from known_run where run_sha256 = :run", {{"run", run_sha256}});
+  return rows.empty() ? std::string() : rows[0][0];
 }
 
 bool Register::tell_certificate(const LoggedIn& by, const std::string& number, const Addressee& addressee,
@@ -169,10 +175,10 @@ void Register::require_withdrawable(const std::string& kind, const std::string& 
   std::vector<std::string> kinds{kCertificateKind, kCalibrationKind};
   for (const auto& row : database_.query(1, "select distinct kind from used_source order by kind"))
     if (row[0] != kCalibrationKind) kinds.push_back(row[0]);
-  throw RegisterError(fmt::format(
-      "{} {}: is not in the register, and no run that it knows used it; required: a record of one "
-      "of the kinds {} (`abcal lab list calibration`)",
-      kind, name, fmt::join(kinds, ", ")));
+  throw RegisterError(
+      fmt::format("{} {}: is not in the register, and no run that it knows used it; required: a record of "
+                  "one of the kinds {} (`abcal lab list calibration`)",
+                  kind, name, fmt::join(kinds, ", ")));
 }
 
 Withdrawal Register::withdraw(const LoggedIn& by, const std::string& kind, const std::string& name,
@@ -220,10 +226,10 @@ void Register::require_not_withdrawn(const NumberRequest& request) {
         problems += fmt::format("\n  {}, {}: {} {}, {}", run.file, source.role, source.kind, source.name,
                                 words_of(withdrawal));
   if (problems.empty()) return;
-  throw RegisterError(fmt::format(
-      "what is to be certified rests on records that were withdrawn; required: a run with records that "
-      "hold:{}",
-      problems));
+  throw RegisterError(
+      fmt::format("what is to be certified rests on records that were withdrawn; required: a run with "
+                  "records that hold:{}",
+                  problems));
 }
 
 std::optional<CertificateStatus> Register::status_of(const std::string& number) {
@@ -239,14 +245,13 @@ std::optional<CertificateStatus> Register::status_of(const std::string& number) 
            5, fmt::format("select {} from withdrawal where identity = :identity", kWithdrawalColumns),
            {{"identity", identity_of(kCertificateKind, number)}})))
     status.withdrawn = std::move(withdrawal);
-  status.sources_withdrawn = withdrawals_of(
-      database_.query(5,
-                      "select distinct w.kind, w.name, w.reason, w.withdrawn_by, w.utc from"
-                      " (select run_sha256 from certificate where number = :number"
-                      " union select run_sha256 from certified_run where certificate = :number) r"
-                      " join used_source u on u.run_sha256 = r.run_sha256"
-                      " join withdrawal w on w.name = u.name and w.kind = u.kind order by w.utc, w.name",
-                      {{"number", number}}));
+  status.sources_withdrawn = withdrawals_of(database_.query(
+      5,
+      "select distinct w.kind, w.name, w.reason, w.withdrawn_by, w.utc from (select run_sha256 from "
+      "certificate where number = :number union select run_sha256 from certified_run where certificate = "
+      ":number) r join used_source u on u.run_sha256 = r.run_sha256 join withdrawal w on w.name = u.name and "
+      "w.kind = u.kind order by w.utc, w.name",
+      {{"number", number}}));
   return status;
 }
 
@@ -256,20 +261,19 @@ Affected Register::affected_by(const std::string& name) {
   affected.is_known =
       database_
           .query(1,
-                 "select certificate from calibration where certificate = :name"
-                 " union select identity from equipment where identity = :name or serial_number = :name"
-                 " union select number from certificate where number = :name"
-                 " union select name from used_source where name = :name"
-                 " union select name from used_source where serial_number = :name",
+                 "select certificate from calibration where certificate = :name union select identity from "
+                 "equipment where identity = :name or serial_number = :name union select number from "
+                 "certificate where number = :name union select name from used_source where name = :name "
+                 "union select name from used_source where serial_number = :name",
                  named)
           .size() > 0;
-  affected.withdrawn = withdrawals_of(database_.query(
-      5,
-      "select kind, name, reason, withdrawn_by, utc from withdrawal where name = :name"
-      " union select w.kind, w.name, w.reason, w.withdrawn_by, w.utc from equipment e"
-      " join calibration c on c.equipment = e.identity join withdrawal w on w.name = c.certificate"
-      " where e.identity = :name or e.serial_number = :name order by 5",
-      named));
+  affected.withdrawn = withdrawals_of(
+      database_.query(5,
+                      "select kind, name, reason, withdrawn_by, utc from withdrawal where name = :name union "
+                      "select w.kind, w.name, w.reason, w.withdrawn_by, w.utc from equipment e join "
+                      "calibration c on c.equipment = e.identity join withdrawal w on w.name = c.certificate "
+                      "where e.identity = :name or e.serial_number = :name order by 5",
+                      named));
   for (const Database::Row& row : database_.query(8, affected_runs(), named)) {
     if (affected.runs.empty() || affected.runs.back().run_sha256 != row[0])
       affected.runs.push_back({row[0], row[1], row[2], row[3], {}});
@@ -284,8 +288,8 @@ Affected Register::affected_by(const std::string& name) {
   }
   for (const Database::Row& row :
        database_.query(1,
-                       "select number from certificate where state <> 'reserved' and run_sha256 not in"
-                       " (select run_sha256 from known_run) order by number"))
+                       "select number from certificate where state <> 'reserved' and run_sha256 not in "
+                       "(select run_sha256 from known_run) order by number"))
     affected.unknown.push_back(row[0]);
   return affected;
 }
@@ -303,9 +307,8 @@ void Register::set_retention(const LoggedIn& by, const std::string& kind, int ye
     throw RegisterError(fmt::format("retention of {}: {} years; required: 1 to {}", kind, years, kLongest));
   change_alone({by.name(), "retention set", "retention", kind, {}}, now, [&] {
     database_.execute(
-        "insert into retention(kind, years, set_by, utc) values(:kind, :years, :by, :utc)"
-        " on conflict(kind) do update set years = excluded.years, set_by = excluded.set_by,"
-        " utc = excluded.utc",
+        "insert into retention(kind, years, set_by, utc) values(:kind, :years, :by, :utc) on conflict(kind) "
+        "do update set years = excluded.years, set_by = excluded.set_by, utc = excluded.utc",
         {{"kind", kind}, {"years", std::to_string(years)}, {"by", by.name()}, {"utc", format_utc(now)}});
   });
 }
@@ -326,9 +329,9 @@ std::vector<RetainedRecord> Register::past_retention(Clock::UtcTime now) {
         rule.kind == kCertificateKind
             ? "select number, issue_date from certificate where state <> 'reserved' order by 2, 1"
         : rule.kind == kRunKind
-            ? "select r.file, coalesce(max(c.issue_date), '') as issued, r.date from known_run r"
-              " left join certificate c on c.run_sha256 = r.run_sha256 and c.state <> 'reserved'"
-              " group by r.run_sha256, r.file, r.date order by r.date, r.file"
+            ? "select r.file, coalesce(max(c.issue_date), '') as issued, r.date from known_run r left join "
+              "certificate c on c.run_sha256 = r.run_sha256 and c.state <> 'reserved' group by r.run_sha256, "
+              "r.file, r.date order by r.date, r.file"
             : "select certificate, due from calibration order by 2, 1";
     for (const auto& row : database_.query(rule.kind == kRunKind ? 3 : 2, records)) {
       const std::string since = row.size() == 3 ? std::max(row[1], row[2]) : row[1];

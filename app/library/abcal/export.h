@@ -2,7 +2,7 @@
 
 namespace abcal::v1 {
 
-/// Version of the program and its commit: "1.0.0 (1a2b3c4)".
+/// Version of the program and its commit: "1.2.0 (1a2b3c4)".
 const char* version();
 
 }  // namespace abcal::v1

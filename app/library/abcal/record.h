@@ -88,14 +88,26 @@ class Record {
   std::shared_ptr<const Data> data_;
 };
 
-/// Reads a run file, or a CSV of averaged readings (docs/run_file.md); the content decides which it is.
+/// Reads a run file, or any table of readings (docs/your_file.md); the content decides which it is.
 /// "RUN#2" is item 2 of a run with several items.
 /// @throws std::runtime_error that names the error in the file; std::invalid_argument for a run with several
 ///         items of which none is named, or one that it does not have
 Record load(const std::filesystem::path& path);
 
-/// Reads poses whose angles are not known, or a time series, for the estimator "norm".
-/// @throws std::runtime_error
+/// As load().
 Record load_poses(const std::filesystem::path& path);
+
+/// Statements about a table that it does not make itself, as the options of `abcal analyse`; empty: none.
+struct TableSettings {
+  std::string columns = {};    ///< "t,x,y,z": names of the columns in place of a header.
+  std::string unit = {};       ///< "g", "m/s2", "LSB"
+  std::string time_unit = {};  ///< "s", "ms", "us", "ns"
+  std::string topic = {};      ///< The one to be read of a log with several.
+};
+
+/// Reads a table of readings, of a file or of a text whose name is `source` in messages.
+/// @throws std::runtime_error  with every problem
+Record load_table(const std::filesystem::path& path, const TableSettings& settings = {});
+Record read_table(const std::string& text, const std::string& source, const TableSettings& settings = {});
 
 }  // namespace abcal::v1

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -81,8 +82,8 @@ class Result {
   std::string to_json() const;
   /// For people, as `abcal analyse` prints it, without colours.
   std::string to_text() const;
-  /// For notebooks and pages: one HTML element with verdict, values with their expanded uncertainties and, if
-  /// gnuplot is installed, a figure (SVG).
+  /// For notebooks and pages: one HTML element with verdict, values with their expanded uncertainties and a
+  /// figure (SVG), without ids.
   std::string to_html() const;
 
   struct Data;
@@ -99,6 +100,12 @@ std::vector<std::string> estimators();
 /// @throws std::invalid_argument for a name that is not in estimators(). A record that the estimator refuses
 /// is not an error: its result is not usable, and why() gives the reason.
 Result analyse(const Record& record, const std::string& estimator = {});
+
+/// The joint results of the items of a measurement, from one fit of all its runs, as `abcal analyse FILE...`:
+/// one for each item, as it is mounted in its first run.
+/// @param files  a measurement file (`abcal combine`), or run files
+/// @throws std::invalid_argument for runs of other items or stages, a run twice, or a run that was changed
+std::vector<Result> analyse_measurement(const std::vector<std::filesystem::path>& files);
 
 /// How the joint estimator is run, for studies; the defaults are analyse(record, "joint").
 struct JointChoices {

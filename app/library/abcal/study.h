@@ -33,7 +33,7 @@ class MonteCarloStudy {
   bool interrupted() const;
   /// The 18 outputs, combined: s row by row, O, intrinsic sensitivities, intrinsic angles (degree).
   const Covariance& covariance() const;
-  /// 18 x 2: probabilistically symmetric 95 % coverage intervals of the errors, low and high.
+  /// 18 x 2: probabilistically symmetric 95.45 % coverage intervals of the errors, low and high.
   const Eigen::MatrixXd& coverage_interval() const;
   std::vector<std::string> warnings() const;
   std::string to_json() const;  ///< JSON of `abcal uncertainty --json`, schema abcal.study/1.

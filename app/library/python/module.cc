@@ -144,10 +144,24 @@ void add_record(py::module_& m) {
       .def_property_readonly("default_effects", &Record::default_effects)
       .def("__len__", &Record::size);
   m.def("load", &load, "path"_a, py::call_guard<py::gil_scoped_release>(),
-        "Reads a run file or a CSV of averaged readings; RUN#2 is item 2 of a run with several items. Raises "
+        "Reads a run file or a table of readings; RUN#2 is item 2 of a run with several items. Raises "
         "RuntimeError with what is wrong.");
-  m.def("load_poses", &load_poses, "path"_a, py::call_guard<py::gil_scoped_release>(),
-        "Reads poses or a time series for the estimator \"norm\".");
+  m.def("load_poses", &load_poses, "path"_a, py::call_guard<py::gil_scoped_release>(), "As load().");
+  m.def(
+      "_load_table",
+      [](const std::filesystem::path& path, const std::string& columns, const std::string& unit,
+         const std::string& time_unit, const std::string& topic) {
+        return load_table(path, {.columns = columns, .unit = unit, .time_unit = time_unit, .topic = topic});
+      },
+      py::call_guard<py::gil_scoped_release>());
+  m.def(
+      "_read_table",
+      [](const std::string& text, const std::string& columns, const std::string& unit,
+         const std::string& time_unit) {
+        return read_table(text, "array",
+                          {.columns = columns, .unit = unit, .time_unit = time_unit, .topic = {}});
+      },
+      py::call_guard<py::gil_scoped_release>());
 }
 
 void add_result(py::module_& m) {
@@ -160,8 +174,7 @@ void add_result(py::module_& m) {
   constexpr auto kInside = py::return_value_policy::reference_internal;
   py::class_<Published>(
       m, "Published",
-      "The result of 'abc' by the formula of the paper, not corrected for k2 and k3; members "
-      "as of Result.")
+      "The result of 'abc' by the formula of the paper, not corrected for k2 and k3; members as of Result.")
       .def_readonly("sensitivity_matrix", &Published::sensitivity_matrix)
       .def_readonly("offset", &Published::offset)
       .def_readonly("intrinsic_sensitivity", &Published::intrinsic_sensitivity)
@@ -208,9 +221,7 @@ void add_result(py::module_& m) {
           "to_dict", [](const Result& r) { return dict_of(r.to_json()); }, "The same as a dict.")
       .def("to_text", &Result::to_text, "As `abcal analyse` prints it.")
       .def("to_html", &Result::to_html, py::call_guard<py::gil_scoped_release>(),
-           "As a notebook shows it: verdict, values with their expanded uncertainties, and a figure if "
-           "gnuplot "
-           "is installed.")
+           "As a notebook shows it: verdict, values with their expanded uncertainties, and a figure.")
       .def("_repr_html_", &Result::to_html, py::call_guard<py::gil_scoped_release>())
       .def("__repr__",
            [](const Result& r) { return "<abcal.Result " + r.estimator() + ": " + r.verdict() + ">"; });
@@ -219,6 +230,10 @@ void add_result(py::module_& m) {
       "One estimator on a record: 'abc', 'joint' or 'norm'; '': the one chosen before the run. A record that "
       "the\n"
       "estimator refuses gives the verdict 'not_usable' and the reason. Raises ValueError for another name.");
+  m.def("analyse_measurement", &analyse_measurement, "files"_a, py::call_guard<py::gil_scoped_release>(),
+        "The joint results of the items of a measurement, from one fit of all its runs: of a list of one\n"
+        "measurement file (`abcal combine`), or of run files. Raises ValueError for runs of other items or "
+        "stages.");
   m.def("estimators", &estimators);
 }
 
@@ -235,7 +250,7 @@ void add_studies(py::module_& m) {
           [](const py::object& self) {
             return view_of(self.cast<const MonteCarloStudy&>().coverage_interval(), self);
           },
-          "95 % coverage intervals of the errors, shape (18, 2): low, high.")
+          "95.45 % coverage intervals of the errors, shape (18, 2): low, high.")
       .def_property_readonly("warnings", &MonteCarloStudy::warnings)
       .def("to_json", &MonteCarloStudy::to_json)
       .def("to_dict", [](const MonteCarloStudy& s) { return dict_of(s.to_json()); });

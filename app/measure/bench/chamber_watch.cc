@@ -81,7 +81,7 @@ std::unique_ptr<Accelerometer> watched_accelerometer(std::unique_ptr<Acceleromet
 ChamberWatch::ChamberWatch(Replaceable<ThermalChamber>::Make make, Clock& clock, double poll_s)
     : chamber_("chamber", std::move(make)), clock_(clock), period_(from_seconds(poll_s)) {}
 
-void ChamberWatch::give_up(const std::string& detail, bool unreachable) {
+void ChamberWatch::give_up(const Message& detail, bool unreachable) {
   watching_ = false;
   unreachable_ = unreachable;
   trouble_ = detail;
@@ -97,8 +97,8 @@ auto ChamberWatch::reached(const Call& call) {
     const bool gone = error.fault() == Fault::kNoReply || error.fault() == Fault::kLinkLost ||
                       error.fault() == Fault::kBadFrame || error.fault() == Fault::kCannotOpen;
     if (!gone) throw;
-    give_up(fmt::format("chamber unreachable, last set point {}, it may be heating: {}",
-                        set_degc_ ? fmt::format("{:g} degC", *set_degc_) : "not known", error.detail()),
+    give_up(Message("chamber unreachable, last set point {set_point}, it may be heating: {why}",
+                    set_degc_ ? Message("{degc:g} degC", *set_degc_) : Message("not known"), error.detail()),
             true);
   }
 }
@@ -164,10 +164,10 @@ void ChamberWatch::poll() {
     if (unreachable_) throw;
     give_up(error.detail(), false);
   }
-  if (now.door_open) give_up("its door is open; close it before the series goes on", false);
+  if (now.door_open) give_up(Message("its door is open; close it before the series goes on"), false);
   if (!now.alarms.empty())
-    give_up(fmt::format("alarm: {}; find its cause at the chamber before the series goes on",
-                        fmt::join(now.alarms, "; ")),
+    give_up(Message("alarm: {alarms}; find its cause at the chamber before the series goes on",
+                    fmt::format("{}", fmt::join(now.alarms, "; "))),
             false);
 }
 

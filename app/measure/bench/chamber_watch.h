@@ -45,7 +45,7 @@ class ChamberWatch {
   bool unreachable() const { return unreachable_; }
 
  private:
-  [[noreturn]] void give_up(const std::string& detail, bool unreachable);
+  [[noreturn]] void give_up(const Message& detail, bool unreachable);
   template <class Call>
   auto reached(const Call& call);
 

@@ -1,9 +1,11 @@
 #include "app/measure/bench/make_bench.h"
 
+#include <fmt/format.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -392,18 +394,30 @@ void add_accelerometers(const BenchConfig& config, const std::shared_ptr<Opener>
       item.accelerometer = std::move(made);
     } catch (const InstrumentError& error) {
       if (!config.has_several_items()) throw;
-      item.missing = error.what();
+      item.missing = error.message();
     }
   }
   if (std::ranges::none_of(bench.items, &BenchItem::is_open))
-    throw InstrumentError("accelerometer", Fault::kCannotOpen,
-                          "none of the items of this bench can be opened: " + bench.items.front().missing);
+    throw InstrumentError(
+        "accelerometer", Fault::kCannotOpen,
+        Message("none of the items of this bench can be opened: {why}", bench.items.front().missing));
 }
 
 }  // namespace
 
+std::string bench_in_words(const BenchConfig& config) {
+  if (!config.name.empty()) return fmt::format("on the bench \"{}\"", config.name);
+  std::string ports;
+  for (const InstrumentPort& port : stage_ports(config.stage)) {
+    const bool is_path = port.port.find(':') == std::string::npos && port.port != kSimulated;
+    ports += (ports.empty() ? "" : " and ") +
+             (is_path ? std::filesystem::absolute(port.port).string() : port.port);
+  }
+  return fmt::format("on the bench at \"{}\"", ports);
+}
+
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock) {
-  return Opener(config, {}, {}, clock, std::make_shared<HaltGuard>("abcal", config.name)).stage();
+  return Opener(config, {}, {}, clock, std::make_shared<HaltGuard>("abcal", bench_in_words(config))).stage();
 }
 
 Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
@@ -420,7 +434,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
 
   // Started when the first port is opened behind it.
   const auto guard =
-      std::make_shared<HaltGuard>(streams.owner.empty() ? "abcal" : streams.owner, config.name);
+      std::make_shared<HaltGuard>(streams.owner.empty() ? "abcal" : streams.owner, bench_in_words(config));
   Bench bench;
   bench.replayed = static_cast<bool>(streams.replay);
   const bool turned_by_hand = driver_called(manual_stage_drivers(), config.stage.driver) != nullptr;

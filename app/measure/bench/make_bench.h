@@ -23,7 +23,7 @@ struct BenchItem {
   int k = 1;                             ///< As in the bench file, from 1.
   std::shared_ptr<sim::SimBench> world;  ///< The world as this item feels it; null: nothing is simulated.
   std::unique_ptr<Accelerometer> accelerometer;  ///< Null: it could not be opened.
-  std::string missing;                           ///< Why it takes no part; empty: it takes part.
+  Message missing;                               ///< Why it takes no part; empty: it takes part.
 
   bool is_open() const { return accelerometer != nullptr; }
 };
@@ -68,6 +68,10 @@ struct BenchStreams {
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
                  std::unique_ptr<Clock> simulated_clock = nullptr);
+
+/// A bench in words, for its guard and in the log of that: "on the bench \"left\"", without a name "on the
+/// bench at \"tcp:stage:5001\"".
+std::string bench_in_words(const BenchConfig& config);
 
 /// The stage of a bench file alone, in protocol angles. Simulated stages speak through their firmware's
 /// bytes.

@@ -307,8 +307,7 @@ std::shared_ptr<sim::Firmware> thorlabs_apt_firmware(const BenchConfig& config, 
     if (!one_axis)
       throw std::invalid_argument(
           "[emulator] stage_model = \"K10CR1\": it has one axis; required: [stage.x] and [stage.z] with a "
-          "port "
-          "each");
+          "port each");
   } else if (model == "BSC202") {
     stepper(settings);
     settings.model = model;

@@ -49,11 +49,11 @@ void StageWatchdog::watch(const std::stop_token& stop) {
     motion_.look(clock_.now());
     if (!motion_.overdue(clock_.now())) continue;
     motion_.forget();
-    halted_because_ = fmt::format(
+    halted_because_ = Message(
         "the watchdog halted the stage: it may have been moving, and its controller had not answered for "
-        "{:g} s, or this program had not polled it",
+        "{seconds:g} s, or this program had not polled it",
         to_seconds(patience_));
-    const auto note = [this](const std::string& text) {
+    const auto note = [this](const Message& text) {
       events_.push_back({clock_.now(), "watchdog halt", text});
     };
     note(halted_because_);  // At once: the owner may end the run before the halt is acknowledged.
@@ -61,12 +61,12 @@ void StageWatchdog::watch(const std::stop_token& stop) {
     const HaltReport report = stage_->halt_axes();
     lock.lock();
     if (!report.all_halted()) {
-      const std::string not_halted =
-          fmt::format("the halt was not acknowledged ({}): stop it by its own switch", in_words(report));
+      const Message not_halted =
+          Message("the halt was not acknowledged ({axes}): stop it by its own switch", in_words(report));
       note(not_halted);
-      halted_because_ += "; " + not_halted;
+      halted_because_ = in_sequence({halted_because_, not_halted});
     }
-    print_error("stage: " + halted_because_);
+    print_error("stage: " + halted_because_.english());
   }
 }
 
@@ -100,7 +100,7 @@ auto StageWatchdog::heard(const Call& call) {
 StageInfo StageWatchdog::identify() {
   StageInfo info = heard([&] { return stage_->identify(); });
   const std::lock_guard lock(mutex_);
-  halted_because_.clear();
+  halted_because_ = {};
   return info;
 }
 

@@ -80,7 +80,7 @@ class StageWatchdog final : public RotationStage {
   mutable std::mutex mutex_;
   std::condition_variable_any wake_;
   MotionWatch motion_;
-  std::string halted_because_;  ///< Empty: it has not halted the stage.
+  Message halted_because_;  ///< Empty: it has not halted the stage.
   std::vector<StageEvent> events_;
   std::jthread thread_;  ///< Last: it ends before the members that it uses.
 };

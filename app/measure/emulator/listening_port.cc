@@ -16,11 +16,10 @@ sim::TcpPort listening_port(const std::string& port) {
   if (!host.empty()) where.host = host;
   const auto number = pieces::number<std::uint16_t>(std::string_view(port).substr(colon + 1));
   if (!number) {
-    throw std::invalid_argument(fmt::format(
-        "port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
-        "(listens on the "
-        "loopback), PORT from 0 (any free one) to 65535",
-        port, port.substr(colon + 1)));
+    throw std::invalid_argument(
+        fmt::format("port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or "
+                    "tcp:PORT (listens on the loopback), PORT from 0 (any free one) to 65535",
+                    port, port.substr(colon + 1)));
   }
   where.port = *number;
   return where;

@@ -4,12 +4,15 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <fstream>
-#include <map>
 #include <utility>
 
 #include "app/document/json_text.h"
+#include "app/system/state_folder.h"
+#include "drivers/instrument/rotation_stage.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -100,56 +103,114 @@ bool is_running_guard(pid_t process) {
   return end != std::string::npos && text.size() > end + kState && text[end + kState] != 'Z';
 }
 
+/// Follows the entries of one bench from the oldest to the newest.
+class MotionReader {
+ public:
+  explicit MotionReader(std::string_view bench) : bench_(bench) {}
+
+  void add(const Json& entry) {
+    // Half a line: the computer lost its supply.
+    if (!entry.is_object() || text_of(entry, "owner").find(bench_) == std::string::npos) return;
+    const std::string what = text_of(entry, "what");
+    for (const StageAxis axis : kStageAxes) {
+      const auto axes = entry.find("axes");
+      if (axes != entry.end() && std::ranges::find(*axes, Json(to_string(axis))) != axes->end())
+        note_axis(axis, what, entry);
+    }
+    if (what == GuardLog::kBegan) {
+      began_ = entry;
+      reason_.clear();
+      outcome_.clear();
+      open_ = true;
+    } else if (began_.is_object() && guard_of(entry) == guard_of(began_)) {
+      note_session(what, entry);
+    }
+  }
+
+  MotionRecord record() {
+    for (std::size_t k = 0; k < 2; ++k)
+      if (!axes_[k].is_at_rest() && !is_running_guard(guards_[k])) axes_[k].state = axis_state::kUnknown;
+    return {axes_, incident()};
+  }
+
+ private:
+  static std::string text_of(const Json& entry, const char* member) {
+    const auto found = entry.find(member);
+    return found != entry.end() && found->is_string() ? found->get<std::string>() : std::string();
+  }
+  static pid_t guard_of(const Json& entry) {
+    const auto found = entry.find("guard");
+    return found != entry.end() && found->is_number_integer() ? found->get<pid_t>() : 0;
+  }
+
+  void note_axis(StageAxis axis, std::string_view what, const Json& entry) {
+    AxisReport& known = axes_[index(axis)];
+    const std::string utc = text_of(entry, "utc");
+    guards_[index(axis)] = guard_of(entry);
+    if (what == GuardLog::kMoves)
+      known = {axis_state::kMayMove, utc, {}};
+    else if (what == GuardLog::kAtRest || what == GuardLog::kHalted)
+      known = {axis_state::kAtRest, utc, {}};
+    else if (what == GuardLog::kNotHalted)
+      known = {axis_state::kUnreachable, utc, text_of(entry, "text")};
+  }
+
+  /// The first reason and the last result are enough for a person.
+  void note_session(std::string_view what, const Json& entry) {
+    const std::string text = fmt::format("{}: {}", text_of(entry, "utc"), text_of(entry, "text"));
+    if (what == GuardLog::kEnded) {
+      reason_.clear();
+      outcome_.clear();
+      open_ = false;
+    } else if (what == GuardLog::kHalted || what == GuardLog::kNotHalted) {
+      outcome_ = text;
+    } else if ((what == GuardLog::kDied || what == GuardLog::kHalting) && reason_.empty()) {
+      reason_ = text;
+    }
+  }
+
+  std::string incident() const {
+    std::string reason = reason_;
+    if (reason_.empty() && outcome_.empty()) {
+      // Program and guard were killed together, or the computer stopped. A bench that was at rest needs no
+      // words.
+      if (!open_) return {};
+      for (const StageAxis axis : kStageAxes) {
+        const AxisReport& known = axes_[index(axis)];
+        if (known.state != axis_state::kUnknown || guards_[index(axis)] != guard_of(began_)) continue;
+        reason +=
+            fmt::format("{}; axis {} was moving since {}",
+                        reason.empty() ? "Nobody is left who saw its end" : "", to_string(axis), known.since);
+      }
+      if (reason.empty()) return {};
+    }
+    return fmt::format("{} did not end in order. {}{}{}", text_of(began_, "owner"), reason,
+                       reason.empty() || outcome_.empty() ? "" : "; ", outcome_);
+  }
+
+  const std::string bench_;
+  Json began_;
+  std::string reason_, outcome_;
+  bool open_ = false;  ///< The last entry of the session is not that of its end.
+  AxesReport axes_;
+  std::array<pid_t, 2> guards_{};  ///< That wrote the latest entry on an axis.
+};
+
 }  // namespace
 
-std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner) {
-  std::ifstream stream(file);
-  std::string line, reason, outcome;  // The first reason and the last result are enough for a person.
-  Json began;
-  std::map<std::string, std::string>
-      moving;         // Axes that were not confirmed at rest, and since when they move.
-  bool open = false;  // Its last entry is not that of its end.
-  const auto forget = [&] {
-    reason.clear();
-    outcome.clear();
-    moving.clear();
-  };
-  while (std::getline(stream, line)) {
-    const Json entry = Json::parse(line, nullptr, /*allow_exceptions=*/false);
-    if (!entry.is_object()) continue;  // Half a line: the computer lost its supply.
-    const std::string what = entry.value("what", "");
-    if (what == GuardLog::kBegan) {
-      if (entry.value("owner", "").find(owner) == std::string::npos) continue;
-      began = entry;
-      forget();
-      open = true;
-      continue;
-    }
-    if (!began.is_object() || entry.value("guard", 0) != began.value("guard", 0)) continue;
-    const std::string text = fmt::format("{}: {}", entry.value("utc", ""), entry.value("text", ""));
-    if (what == GuardLog::kEnded) {
-      forget();
-      open = false;
-    } else if (what == GuardLog::kMoves) {
-      moving[entry.value("axis", "")] = entry.value("utc", "");
-    } else if (what == GuardLog::kAtRest) {
-      moving.erase(entry.value("axis", ""));
-    } else if (what == GuardLog::kHalted || what == GuardLog::kNotHalted) {
-      outcome = text;
-    } else if ((what == GuardLog::kDied || what == GuardLog::kHalting) && reason.empty()) {
-      reason = text;
-    }
+std::filesystem::path motion_log() {
+  const std::filesystem::path folder = state_folder();
+  return folder.empty() ? folder : folder / "motion.log";
+}
+
+MotionRecord read_motion(const std::filesystem::path& file, std::string_view bench) {
+  MotionReader reader(bench);
+  for (const std::string& part : {file.string() + ".1", file.string()}) {
+    std::ifstream stream(part);
+    for (std::string line; std::getline(stream, line);)
+      reader.add(Json::parse(line, nullptr, /*allow_exceptions=*/false));
   }
-  if (reason.empty() && outcome.empty()) {
-    // Program and guard were killed together, or the computer stopped. A bench that was at rest needs no
-    // words.
-    if (!open || moving.empty() || is_running_guard(began.value("guard", 0))) return std::nullopt;
-    reason = "Nobody is left who saw its end";
-    for (const auto& [axis, since] : moving)
-      reason += fmt::format("; axis {} was moving since {}", axis, since);
-  }
-  return fmt::format("{} did not end in order. {}{}{}", began.value("owner", ""), reason,
-                     reason.empty() || outcome.empty() ? "" : "; ", outcome);
+  return reader.record();
 }
 
 }  // namespace abcal

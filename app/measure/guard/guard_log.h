@@ -5,11 +5,11 @@
 #include <filesystem>
 #include <mutex>
 #include <nlohmann/json.hpp>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
 
+#include "app/measure/guard/guard_packets.h"
 #include "drivers/instrument/clock.h"
 
 namespace abcal {
@@ -32,7 +32,7 @@ class GuardLog {
   /// Entries go to this file from now on, those of before included. A file of more than 4 MiB is kept as
   /// FILE.1 first. Without a call they are dropped at the end.
   void open(std::filesystem::path file);
-  /// @param json  further members: "owner", "axis", "text"
+  /// @param json  further members: "owner", "text", and "axes" ("X", "Z"), those that the entry is about
   void add(std::string_view what, Clock::UtcTime utc, nlohmann::json json = nlohmann::json::object());
 
  private:
@@ -48,10 +48,20 @@ class GuardLog {
   std::jthread writer_;       ///< Last: it ends before the members that it uses.
 };
 
-/// The end of the latest session in a log that did not end in order, in words for a person: who moved the
-/// bench, and how it was halted, or that an axis was moving when program and guard ended together. Nullopt if
-/// the latest one ended in order or is still open, or if there is no log.
-/// @param owner  only sessions whose owner's words contain this; empty: all
-std::optional<std::string> last_incident(const std::filesystem::path& file, std::string_view owner);
+/// The log of this user's guards; empty: there is no folder for it.
+std::filesystem::path motion_log();
+
+/// A bench, as a log knows it.
+struct MotionRecord {
+  AxesReport axes;  ///< After the latest entries; kUnknown: it was moving, and its guard runs no more.
+  /// The end of the latest session if that did not end in order, in words for a person: who moved the bench,
+  /// and how it was halted, or that an axis was moving when program and guard ended together. Empty if it
+  /// ended in order or is still open, or if there is no log.
+  std::string incident;
+};
+
+/// Reads a log, and the part of it that was put aside as FILE.1.
+/// @param bench  only entries whose owner's words contain this
+MotionRecord read_motion(const std::filesystem::path& file, std::string_view bench);
 
 }  // namespace abcal

@@ -2,18 +2,15 @@
 
 #include <fmt/format.h>
 #include <poll.h>
-#include <sys/socket.h>
-#include <sys/stat.h>
-#include <sys/un.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <fstream>
+#include <iterator>
 #include <sstream>
+#include <system_error>
 #include <utility>
 
+#include "app/system/channel.h"
 #include "app/system/output.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/port_held.h"
@@ -28,7 +25,7 @@ using namespace std::chrono_literals;
 constexpr int kTickMs = 20;
 /// If the guard itself was suspended for this time, nothing was watched.
 constexpr Clock::Duration kFrozen = 1s;
-constexpr int kMostClients = 8;
+constexpr std::size_t kMostClients = 8;
 
 /// The parent of a process: the one that started it, or after its end a process of the system. 0: unknown.
 pid_t parent_of(const std::string& process) {
@@ -66,15 +63,12 @@ GuardService::GuardService(Clock& clock, Options options)
 
 GuardService::~GuardService() {
   connections_.clear();
-  for (const int client : clients_) ::close(client);
-  if (listener_ >= 0) {
-    ::close(listener_);
-    std::error_code ignored;
-    std::filesystem::remove(listening_at_, ignored);
-  }
+  if (listener_.number() < 0) return;
+  std::error_code ignored;
+  std::filesystem::remove(listening_at_, ignored);
 }
 
-void GuardService::send(const Json& json, const std::vector<int>& descriptors) {
+void GuardService::send(const Json& json, const std::vector<Descriptor>& descriptors) {
   if (owner_alive_) (void)send_guard_packet(options_.socket, json, descriptors);
 }
 
@@ -89,56 +83,68 @@ bool GuardService::may_move() const {
   return beat_.may_move[0] || beat_.may_move[1];
 }
 
+/// Whether the port of an axis was lost while the axis was at rest: no command reaches it.
+bool GuardService::is_cut_off(StageAxis axis) const {
+  return std::ranges::any_of(connections_, [&](const auto& each) {
+    const GuardedConnection::Status status = each.second->status();
+    return status.axes[index(axis)] && status.state == GuardedConnection::State::kClosed;
+  });
+}
+
 bool GuardService::is_all_done() const {
   return std::ranges::all_of(connections_, [](const auto& each) { return each.second->status().is_done(); });
 }
 
 std::vector<std::string> GuardService::serve() {
-  std::optional<Clock::Instant> died;
-  while (tick()) {
-    if (owner_alive_) continue;
-    if (!died) died = clock_.now();
-    if (is_all_done() || clock_.now() - *died > options_.limits.give_up) break;
-  }
-  if (ended_in_order_) {
+  while (owner_alive_ && !owner_ended_) tick();
+  std::vector<std::string> words;
+  if (owner_ended_ && is_all_done()) {
     log(GuardLog::kEnded);
-    return {};
+  } else {
+    words = finish_halt();
   }
+  send({{"kind", to_owner::kEnds}, {"given_up", !is_all_done()}});
+  return words;
+}
+
+/// The owner has died, or has ended before everything was confirmed at rest.
+/// @return the result for each port, in words
+std::vector<std::string> GuardService::finish_halt() {
+  if (owner_ended_) log(GuardLog::kDied, owner_ + " has ended before the halt was confirmed");
+  const Clock::Instant begun = clock_.now();
+  while (!is_all_done() && clock_.now() - begun <= options_.limits.give_up) tick();
   std::vector<std::string> words;
   for (const auto& [name, connection] : connections_) {
     const GuardedConnection::Status status = connection->status();
+    if (!status.is_done()) report_halt(name, status);
     if (status.axes[0] || status.axes[1] || !status.chamber.empty()) words.push_back(words_of(name, status));
   }
   return words;
 }
 
-/// @return false: the owner has ended in order
-bool GuardService::tick() {
+void GuardService::tick() {
   std::vector<pollfd> waiting;
   if (owner_alive_) waiting.push_back({.fd = options_.socket, .events = POLLIN, .revents = 0});
-  if (listener_ >= 0 && clients_.size() < kMostClients)
-    waiting.push_back({.fd = listener_, .events = POLLIN, .revents = 0});
-  for (const int client : clients_) waiting.push_back({.fd = client, .events = POLLIN, .revents = 0});
+  if (listener_.number() >= 0 && clients_.size() < kMostClients)
+    waiting.push_back({.fd = listener_.number(), .events = POLLIN, .revents = 0});
+  for (const Descriptor& client : clients_)
+    waiting.push_back({.fd = client.number(), .events = POLLIN, .revents = 0});
   ::poll(waiting.data(), waiting.size(), kTickMs);
   check_time();  // Before any byte is passed on after a freeze.
   for (const pollfd& each : waiting) {
     if (each.revents == 0) continue;
     if (each.fd == options_.socket)
       receive_from_owner();
-    else if (each.fd == listener_)
+    else if (each.fd == listener_.number())
       accept();
     else
       answer(each.fd);
   }
-  if (ended_in_order_) return false;
-  if (!owner_alive_) return true;
   check_beat();
-  if (ended_in_order_) return false;
   if (clock_.now() - own_beat_at_ >= options_.limits.own_beat) {
     own_beat_at_ = clock_.now();
     send({{"kind", to_owner::kBeat}});
   }
-  return true;
 }
 
 /// During a freeze of the guard (a container, the computer in suspension) the axes were not watched.
@@ -154,10 +160,8 @@ void GuardService::check_time() {
 void GuardService::check_beat() {
   // On a busy machine this thread may have been suspended since poll(): a beat that arrived meanwhile counts
   // first.
-  for (pollfd more{.fd = options_.socket, .events = POLLIN, .revents = 0};
-       owner_alive_ && !ended_in_order_ && ::poll(&more, 1, 0) == 1;)
-    receive_from_owner();
-  if (!owner_alive_ || ended_in_order_) return;
+  while (owner_alive_ && wait_until_readable(options_.socket, 0ms)) receive_from_owner();
+  if (!owner_alive_ || owner_ended_) return;
   const Clock::Duration silent = clock_.now() - beat_at_;
   OwnerBeat beat;
   {
@@ -204,7 +208,7 @@ void GuardService::halt(const std::string& why, bool chambers) {
 void GuardService::receive_from_owner() {
   try {
     if (std::optional<GuardPacket> packet = receive_guard_packet(options_.socket)) {
-      handle(*std::move(packet));
+      handle(*packet);
       return;
     }
   } catch (const Json::exception& error) {
@@ -212,19 +216,22 @@ void GuardService::receive_from_owner() {
     return;
   }
   owner_alive_ = false;
+  if (owner_ended_) return;  // It waited for the halt.
   log(GuardLog::kDied, owner_ + " has died");
   halt(owner_ + " has died", true);
 }
 
-void GuardService::handle(GuardPacket packet) {
-  for (const int descriptor : packet.descriptors) ::close(descriptor);  // An owner sends none.
+void GuardService::handle(const GuardPacket& packet) {
   const Json& json = packet.json;
   const std::string kind = json.at("kind").get<std::string>();
   if (kind == to_guard::kBeat) {
     handle_beat(owner_beat_from(json));
   } else if (kind == to_guard::kOwner) {
     owner_ = json.at("words").get<std::string>();
-    if (const std::string file = json.at("log").get<std::string>(); !file.empty()) log_.open(file);
+    if (const std::string file = json.at("log").get<std::string>(); !file.empty()) {
+      known_ = read_motion(file, json.at("bench").get<std::string>()).axes;
+      log_.open(file);
+    }
     log(GuardLog::kBegan);
     if (const std::string path = json.at("listen").get<std::string>(); !path.empty()) listen(path);
   } else if (kind == to_guard::kOpen) {
@@ -232,6 +239,11 @@ void GuardService::handle(GuardPacket packet) {
     PortRequest request = port_request_from(json);
     GuardedConnection& wanted = connection(request.name);
     wanted.open(std::move(request));
+  } else if (kind == to_guard::kTakeOver) {
+    PortRequest request = port_request_from(json);
+    log(GuardLog::kHalting, request.name + ": the guard before this one is gone");
+    GuardedConnection& left = connection(request.name);
+    left.take_over(std::move(request));
   } else if (kind == to_guard::kLease) {
     take_leases(lease_request_from(json));
   } else if (kind == to_guard::kRecipes) {
@@ -244,11 +256,7 @@ void GuardService::handle(GuardPacket packet) {
     halt(json.at("why").get<std::string>(), false);
   } else if (kind == to_guard::kEnd) {
     if (may_move()) halt(owner_ + " has ended while an axis was moving", false);
-    ended_in_order_ = is_all_done();
-    if (!ended_in_order_) {  // It continues until the halt is confirmed, as after the owner's death.
-      owner_alive_ = false;
-      log(GuardLog::kDied, owner_ + " has ended before the halt was confirmed");
-    }
+    owner_ended_ = true;
   }
 }
 
@@ -276,39 +284,55 @@ void GuardService::report_failure(const std::string& name, const std::exception&
 
 void GuardService::handle_beat(const OwnerBeat& beat) {
   beat_at_ = clock_.now();
-  std::array<bool, 2> before{};
+  std::array<bool, 2> before{}, now = beat.may_move;
+  for (const StageAxis axis : kStageAxes)
+    if (!halted_because_.empty() || is_cut_off(axis)) now[index(axis)] = false;
   {
     const std::lock_guard lock(mutex_);
     before = beat_.may_move;
     beat_ = beat;
-    if (!halted_because_.empty()) beat_.may_move = {};
-    for (std::size_t k = 0; k < 2; ++k) {
-      has_moved_[k] = has_moved_[k] || beat.may_move[k];
-      if (before[k] && !beat.may_move[k]) rest_since_[k] = clock_.utc_now();
-    }
+    beat_.may_move = now;
   }
   for (const StageAxis axis : kStageAxes) {
-    const std::size_t k = index(axis);
-    if (before[k] != beat.may_move[k] && halted_because_.empty())
-      log_.add(beat.may_move[k] ? GuardLog::kMoves : GuardLog::kAtRest, clock_.utc_now(),
-               {{"owner", owner_}, {"axis", to_string(axis)}});
+    const bool moves = now[index(axis)];
+    if (before[index(axis)] == moves || !halted_because_.empty()) continue;
+    note(moves ? GuardLog::kMoves : GuardLog::kAtRest, {axis}, {});
   }
+}
+
+/// Notes the state of axes for those who ask, and in the log.
+void GuardService::note(std::string_view what, const std::vector<StageAxis>& axes, const std::string& text) {
+  const Clock::UtcTime utc = clock_.utc_now();
+  Json json = {{"owner", owner_}, {"axes", Json::array()}};
+  if (!text.empty()) json["text"] = text;
+  for (const StageAxis axis : axes) {
+    json["axes"].push_back(to_string(axis));
+    const std::lock_guard lock(mutex_);
+    if (what != GuardLog::kNotHalted)
+      known_[index(axis)] = {
+          what == GuardLog::kMoves ? axis_state::kMayMove : axis_state::kAtRest, format_utc(utc), {}};
+    if (what == GuardLog::kHalted) beat_.may_move[index(axis)] = false;
+  }
+  log_.add(what, utc, std::move(json));
 }
 
 GuardedConnection& GuardService::connection(const std::string& name) {
   std::unique_ptr<GuardedConnection>& found = connections_[name];
   if (found) return *found;
   GuardedConnection::Listener listener;
-  listener.opened = [this, name](const std::string& port_name, int socket, int duplicate) {
-    std::vector<int> descriptors{socket};
-    if (duplicate >= 0) descriptors.push_back(duplicate);
-    send({{"kind", to_owner::kOpened}, {"name", name}, {"port", port_name}}, descriptors);
-    for (const int descriptor : descriptors) ::close(descriptor);
+  listener.opened = [this, name](const std::string& port_name, const std::string& lasting_name,
+                                 const std::vector<Descriptor>& descriptors) {
+    send({{"kind", to_owner::kOpened}, {"name", name}, {"port", port_name}, {"again", lasting_name}},
+         descriptors);
   };
   listener.failed = [this, name](const std::exception& why) { report_failure(name, why); };
   // `found` is in a node of the map, which does not move, and is set before the first port is opened.
   listener.lost = [this, name, &found](const std::string& why) {
     const GuardedConnection::Status status = found->status();
+    // A beat that was sent before the last bytes counts first.
+    const Clock::Instant latest = clock_.now() + 100ms;
+    while (owner_alive_ && wait_until_readable(options_.socket, 0ms) && clock_.now() < latest)
+      clock_.sleep_until(clock_.now() + 1ms);
     bool moves = false;
     {
       const std::lock_guard lock(mutex_);
@@ -326,8 +350,14 @@ GuardedConnection& GuardService::connection(const std::string& name) {
 void GuardService::report_halt(const std::string& name, const GuardedConnection::Status& status) {
   const bool is_at_rest = status.state == GuardedConnection::State::kAtRest;
   const std::string words = words_of(name, status);
-  log(is_at_rest ? GuardLog::kHalted : GuardLog::kNotHalted, words);
+  std::vector<StageAxis> axes;
+  // A port that was lost while its axes were at rest is closed: they still are.
+  if (status.state != GuardedConnection::State::kClosed)
+    std::ranges::copy_if(kStageAxes, std::back_inserter(axes),
+                         [&](StageAxis axis) { return status.axes[index(axis)]; });
+  note(is_at_rest ? GuardLog::kHalted : GuardLog::kNotHalted, axes, words);
   send({{"kind", to_owner::kHalted},
+        {"name", name},
         {"confirmed", is_at_rest},
         {"x", status.axes[0]},
         {"z", status.axes[1]},
@@ -342,8 +372,10 @@ std::string GuardService::words_of(const std::string& name, const GuardedConnect
                        : "did not acknowledge its set point, is left as it is and may be heating or cooling";
   for (const StageAxis axis : kStageAxes) {
     if (!status.axes[index(axis)]) continue;
-    words += fmt::format("{}axis {}: {}", words.empty() ? "" : "; ", to_string(axis),
-                         is_at_rest ? "halted" : "did not acknowledge the halt, may be moving");
+    words += fmt::format(
+        "{}axis {}: {}", words.empty() ? "" : "; ", to_string(axis),
+        is_at_rest ? "halted"
+                   : "did not acknowledge the halt, may be moving since " + format_utc(status.since));
   }
   if (!is_at_rest && !status.detail.empty()) words += fmt::format(" ({})", status.detail);
   return fmt::format("{}: {}", name, words);
@@ -352,37 +384,24 @@ std::string GuardService::words_of(const std::string& name, const GuardedConnect
 // ---- Others who ask: Stop without the owner
 
 void GuardService::listen(const std::filesystem::path& path) {
-  sockaddr_un address{};
-  address.sun_family = AF_UNIX;
-  const std::string text = path.string();
-  if (text.size() >= sizeof address.sun_path) return;
-  std::memcpy(address.sun_path, text.c_str(), text.size() + 1);
   std::error_code ignored;
   std::filesystem::remove(
       path, ignored);  // One that a killed guard has left: the name has the number of its owner.
-  listener_ = ::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-  const mode_t before = ::umask(0177);  // For this user alone.
-  const bool is_bound = ::bind(listener_, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 &&
-                        ::listen(listener_, kMostClients) == 0;
-  ::umask(before);
-  if (is_bound) {
+  try {
+    listener_ = listen_at(path, ChannelKind::kPackets, kForThisUser);
     listening_at_ = path;
-    return;
+  } catch (const std::system_error& error) {
+    print_log("abcal-guard: {}; Stop reaches the stage only through {}\n", error.what(), owner_);
   }
-  print_log("abcal-guard: {}: {}; Stop reaches the stage only through {}\n", text, std::strerror(errno),
-            owner_);
-  ::close(std::exchange(listener_, -1));
 }
 
 void GuardService::accept() {
-  const int client = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
-  if (client >= 0) clients_.insert(client);
+  if (std::optional<Descriptor> client = accept_from(listener_)) clients_.push_back(*std::move(client));
 }
 
 void GuardService::answer(int client) {
   try {
     if (const std::optional<GuardPacket> packet = receive_guard_packet(client)) {
-      for (const int descriptor : packet->descriptors) ::close(descriptor);
       if (packet->json.value("kind", "") == to_guard::kHalt)
         halt("stopped by " + packet->json.value("by", "a person"), false);
       (void)send_guard_packet(client, status());
@@ -390,41 +409,29 @@ void GuardService::answer(int client) {
     }
   } catch (const Json::exception&) {  // No packet: the connection ends.
   }
-  ::close(client);
-  clients_.erase(client);
+  std::erase_if(clients_, [&](const Descriptor& each) { return each.number() == client; });
 }
 
 GuardService::Json GuardService::status() const {
-  Json axes = Json::object();
-  for (const StageAxis axis : kStageAxes) {
-    const std::size_t k = index(axis);
-    Json json = {{"state", axis_state::kNotMoved}};
-    {
-      const std::lock_guard lock(mutex_);
-      if (beat_.may_move[k])
-        json = {{"state", axis_state::kMayMove}};
-      else if (has_moved_[k])
-        json = {{"state", axis_state::kAtRest}, {"since", format_utc(rest_since_[k])}};
-    }
-    for (const auto& [name, connection] : connections_) {
-      const GuardedConnection::Status status = connection->status();
-      if (!status.axes[k]) continue;
-      if (status.state == GuardedConnection::State::kHalting)
-        json = {{"state", axis_state::kMayMove}, {"since", format_utc(status.since)}};
-      else if (status.state == GuardedConnection::State::kUnreachable)
-        json = {{"state", axis_state::kUnreachable},
-                {"since", format_utc(status.since)},
-                {"detail", status.detail}};
-      else if (status.state == GuardedConnection::State::kAtRest)
-        json = {{"state", axis_state::kAtRest}, {"since", format_utc(status.since)}};
-    }
-    axes[axis == StageAxis::kX ? "x" : "z"] = std::move(json);
+  AxesReport axes;
+  {
+    const std::lock_guard lock(mutex_);
+    axes = known_;
+  }
+  for (const auto& [name, connection] : connections_) {
+    const GuardedConnection::Status status = connection->status();
+    if (status.is_done()) continue;
+    const bool is_reachable = status.state == GuardedConnection::State::kHalting;
+    for (std::size_t k = 0; k < 2; ++k)
+      if (status.axes[k])
+        axes[k] = {is_reachable ? axis_state::kMayMove : axis_state::kUnreachable, format_utc(status.since),
+                   status.detail};
   }
   return {{"kind", "status"},
           {"owner", owner_},
           {"owner_alive", owner_alive_.load()},
           {"halted", halted_because_},
-          {"axes", std::move(axes)}};
+          {"axes", to_json(axes)}};
 }
 
 }  // namespace abcal

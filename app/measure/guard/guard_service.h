@@ -8,8 +8,8 @@
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <set>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/measure/guard/guard_log.h"
@@ -29,7 +29,7 @@ struct GuardLimits {
   Clock::Duration chamber_beat = std::chrono::seconds(60);
   /// Between two beats to the owner.
   Clock::Duration own_beat = std::chrono::milliseconds(100);
-  /// After the death of the owner: an instrument that stays unreachable is given up after this time.
+  /// After the end of the owner: an instrument that stays unreachable is given up after this time.
   Clock::Duration give_up = std::chrono::minutes(10);
 };
 
@@ -50,16 +50,16 @@ class GuardService {
   GuardService(const GuardService&) = delete;
   GuardService& operator=(const GuardService&) = delete;
 
-  /// Serves until the owner has ended in order, or has died and everything is confirmed at rest or given up.
-  /// @return the result for each port, in words; empty: the owner ended in order
+  /// Serves until the owner has ended or died, and everything is confirmed at rest or given up.
+  /// @return the result for each port, in words; empty: everything was at rest when the owner ended
   std::vector<std::string> serve();
 
  private:
   using Json = nlohmann::json;
 
-  bool tick();
+  void tick();
   void receive_from_owner();
-  void handle(GuardPacket packet);
+  void handle(const GuardPacket& packet);
   void handle_beat(const OwnerBeat& beat);
   void take_leases(const LeaseRequest& request);
   void report_failure(const std::string& name, const std::exception& why);
@@ -71,30 +71,32 @@ class GuardService {
   void answer(int client);
   GuardedConnection& connection(const std::string& name);
   Json status() const;
+  std::vector<std::string> finish_halt();
+  void note(std::string_view what, const std::vector<StageAxis>& axes, const std::string& text);
   void report_halt(const std::string& name, const GuardedConnection::Status& status);
   std::string words_of(const std::string& name, const GuardedConnection::Status& status) const;
   bool may_move() const;
+  bool is_cut_off(StageAxis axis) const;
   bool is_all_done() const;
   void log(std::string_view what, const std::string& text = {});
-  void send(const Json& json, const std::vector<int>& descriptors = {});
+  void send(const Json& json, const std::vector<Descriptor>& descriptors = {});
 
   Clock& clock_;
   const Options options_;
   GuardLog log_;
-  mutable std::mutex mutex_;  ///< Guards what threads of the connections read: the owner's last beat.
+  mutable std::mutex mutex_;  ///< Guards what threads of the connections use, too: the next two.
   OwnerBeat beat_;
-  std::array<Clock::UtcTime, 2> rest_since_{};
-  std::array<bool, 2> has_moved_{};
+  AxesReport known_;  ///< But for ports that are being halted.
   Clock::Instant beat_at_;
   Clock::Instant own_beat_at_;
   std::atomic<Clock::Duration> uptime_;  ///< At the last tick.
   std::string owner_ = "a program";
   std::atomic<bool> owner_alive_ = true;
-  bool ended_in_order_ = false;
+  bool owner_ended_ = false;
   std::string halted_because_;  ///< Reason of the latest halt; empty: none since a port was last opened.
   std::filesystem::path listening_at_;
-  int listener_ = -1;
-  std::set<int> clients_;
+  Descriptor listener_;
+  std::vector<Descriptor> clients_;
   std::map<std::string, std::shared_ptr<wire::Lease>> leases_;             ///< Until the end of this object.
   std::map<std::string, std::unique_ptr<GuardedConnection>> connections_;  ///< By PortRequest::name.
 };

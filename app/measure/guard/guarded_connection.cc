@@ -3,13 +3,15 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <filesystem>
+#include <system_error>
 #include <utility>
 
+#include "app/measure/bench/probe_ports.h"
+#include "app/system/channel.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/halt_recipe.h"
 #include "drivers/wire/port_descriptor.h"
@@ -69,6 +71,23 @@ void GuardedConnection::open(PortRequest request) {
   changed_.notify_all();
 }
 
+void GuardedConnection::take_over(PortRequest request) {
+  {
+    const std::lock_guard lock(mutex_);
+    request_ = std::move(request);
+    begin_halt_locked(State::kUnreachable);
+  }
+  changed_.notify_all();
+}
+
+/// The next attempt is due at once, and its result is news.
+void GuardedConnection::begin_halt_locked(State state) {
+  status_.state = state;
+  status_.since = clock_.utc_now();
+  is_reported_ = false;
+  next_attempt_ = clock_.now();
+}
+
 void GuardedConnection::set_recipes(std::vector<HaltRecipe> recipes) {
   const std::lock_guard lock(mutex_);
   recipes_ = std::move(recipes);
@@ -91,10 +110,7 @@ void GuardedConnection::drop(bool halt) {
     const std::lock_guard lock(mutex_);
     // A port that was closed while the axes were at rest has nothing to halt.
     if (!halt || recipes_.empty() || !status_.is_done() || status_.state == State::kClosed) return;
-    status_.state = State::kHalting;
-    status_.since = clock_.utc_now();
-    is_reported_ = false;
-    next_attempt_ = clock_.now();
+    begin_halt_locked(State::kHalting);
   }
   changed_.notify_all();
 }
@@ -115,7 +131,7 @@ void GuardedConnection::set_state(State state, std::string detail) {
 void GuardedConnection::close_owner_side() {
   const std::lock_guard pass(pass_mutex_);
   const std::lock_guard lock(mutex_);
-  if (owner_ >= 0) ::close(std::exchange(owner_, -1));
+  owner_.close();
 }
 
 void GuardedConnection::keep(const std::stop_token& end) {
@@ -161,20 +177,24 @@ void GuardedConnection::serve(const PortRequest& request) {
     std::shared_ptr<wire::ByteStream> stream = stream_;
     if (!stream) stream = open_(request);
     const auto* port = dynamic_cast<const wire::PortDescriptor*>(stream.get());
-    const int duplicate = port == nullptr ? -1 : ::fcntl(port->descriptor(), F_DUPFD_CLOEXEC, 0);
-    std::array<int, 2> ends{};
-    if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends.data()) != 0)
-      throw InstrumentError(request.port, Fault::kCannotOpen, std::generic_category().message(errno));
+    Descriptor duplicate(port == nullptr ? -1 : ::fcntl(port->descriptor(), F_DUPFD_CLOEXEC, 0));
+    auto [ours, theirs] = channel_pair(ChannelKind::kBytes, request.port);
     const std::string name = stream->name();
     {
       const std::lock_guard lock(mutex_);
       stream_ = std::move(stream);
       leases_ = port == nullptr ? std::vector<std::shared_ptr<wire::Lease>>{} : port->leases();
-      owner_ = ends[0];
+      owner_ = std::move(ours);
     }
     usb_ = usb_device_of(name);
     set_state(State::kPassing);
-    listener_.opened(name, ends[1], duplicate);
+    std::vector<Descriptor> for_owner;
+    for_owner.push_back(std::move(theirs));
+    if (duplicate.number() >= 0) for_owner.push_back(std::move(duplicate));
+    const bool is_unmistakable = usb_ && !usb_->serial_number.empty();
+    listener_.opened(name, is_unmistakable ? usb_name(*usb_) : request.port, for_owner);
+  } catch (const std::system_error& error) {
+    listener_.failed(InstrumentError(request.port, Fault::kCannotOpen, error.code().message()));
   } catch (const std::exception& error) {
     listener_.failed(error);
   }
@@ -194,9 +214,10 @@ void GuardedConnection::pass_to_owner(std::string_view bytes) {
     pollfd ready{.fd = -1, .events = POLLOUT, .revents = 0};
     {
       const std::lock_guard lock(mutex_);
-      if (owner_ < 0 || !status_.is_done()) return;  // The owner's side is closed: the halt has priority.
-      ready.fd = owner_;
-      const ssize_t written = ::send(owner_, bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+      if (owner_.number() < 0 || !status_.is_done())
+        return;  // The owner's side is closed: the halt has priority.
+      ready.fd = owner_.number();
+      const ssize_t written = ::send(ready.fd, bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
       if (written > 0) {
         bytes.remove_prefix(static_cast<std::size_t>(written));
         continue;
@@ -218,14 +239,9 @@ void GuardedConnection::lose(const std::string& why) {
   const std::lock_guard lock(mutex_);
   const bool is_halting = !status_.is_done();  // Asked for while the port was being lost.
   status_.detail = why;
+  if ((may_move || is_halting) && !recipes_.empty()) return begin_halt_locked(State::kUnreachable);
+  status_.state = State::kClosed;
   status_.since = clock_.utc_now();
-  if ((!may_move && !is_halting) || recipes_.empty()) {
-    status_.state = State::kClosed;
-    return;
-  }
-  status_.state = State::kUnreachable;
-  is_reported_ = false;
-  next_attempt_ = clock_.now();
 }
 
 bool GuardedConnection::reopen() {
@@ -283,12 +299,9 @@ void GuardedConnection::pass_output(const std::stop_token& end) {
     int owner = -1;
     {
       const std::lock_guard lock(mutex_);
-      owner = owner_;
+      owner = owner_.number();
     }
-    pollfd ready{.fd = owner, .events = POLLIN, .revents = 0};
-    // A negative descriptor is ignored: only the time passes.
-    if (::poll(&ready, 1, std::chrono::duration_cast<std::chrono::milliseconds>(kSlice).count()) < 1)
-      continue;
+    if (!wait_until_readable(owner, kSlice)) continue;  // Without an owner only the time passes.
     if (!listener_.may_pass()) {
       clock_.sleep_until(clock_.now() + kSlice);
       continue;
@@ -298,9 +311,9 @@ void GuardedConnection::pass_output(const std::stop_token& end) {
     ssize_t count = 0;
     {
       const std::lock_guard lock(mutex_);
-      if (owner_ != owner || status_.state != State::kPassing) continue;
-      count = ::recv(owner_, chunk.data(), chunk.size(), MSG_DONTWAIT);
-      if (count == 0) ::close(std::exchange(owner_, -1));  // The owner has closed the port.
+      if (owner_.number() != owner || status_.state != State::kPassing) continue;
+      count = ::recv(owner, chunk.data(), chunk.size(), MSG_DONTWAIT);
+      if (count == 0) owner_.close();  // The owner has closed the port.
       stream = stream_;
     }
     if (count <= 0 || !stream) continue;

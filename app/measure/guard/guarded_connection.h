@@ -48,9 +48,12 @@ class GuardedConnection {
   /// Opens a port. @throws InstrumentError kCannotOpen, std::invalid_argument
   using OpenPort = std::function<std::unique_ptr<wire::ByteStream>(const PortRequest& request)>;
   struct Listener {
-    /// The socket for the owner and a duplicate of the port's descriptor (-1: it has none); both are the
-    /// listener's. May be called from a thread of this object, as the others.
-    std::function<void(const std::string& port_name, int socket, int duplicate)> opened;
+    /// With the name by which the port is found again wherever it is plugged in, the channel for the owner,
+    /// and a duplicate of the port's descriptor if it has one. May be called from a thread of this object, as
+    /// the others.
+    std::function<void(const std::string& port_name, const std::string& lasting_name,
+                       const std::vector<Descriptor>& descriptors)>
+        opened;
     std::function<void(const std::exception& why)> failed;
     /// A first attempt to halt has ended, or a later one was successful.
     std::function<void(const Status&)> halted;
@@ -67,6 +70,8 @@ class GuardedConnection {
 
   /// Opens the port, in place of one that is open. While a halt is not confirmed this fails.
   void open(PortRequest request);
+  /// Halts the axes behind a port that another guard has left, as one that was lost in motion.
+  void take_over(PortRequest request);
   void set_recipes(std::vector<HaltRecipe> recipes);
   std::vector<HaltRecipe> recipes() const;
   /// Drops the owner's side. With `halt`, halts until that is confirmed; a port without recipes never moved.
@@ -82,6 +87,7 @@ class GuardedConnection {
   void halt_once();
   bool reopen();
   void lose(const std::string& why);
+  void begin_halt_locked(State state);
   void set_state(State state, std::string detail = {});
   void close_owner_side();
 
@@ -99,7 +105,7 @@ class GuardedConnection {
   /// Leases of the stream that was open last, so that no other program takes the address of an instrument
   /// that is still to be halted.
   std::vector<std::shared_ptr<wire::Lease>> leases_;
-  int owner_ = -1;  ///< The guard's end of the owner's socket; -1: none.
+  Descriptor owner_;  ///< The guard's end of the owner's channel of bytes.
   Status status_;
   bool is_reported_ = false;  ///< The result of the halt under way.
   Clock::Instant next_attempt_;

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <array>
 #include <utility>
 
 #include "app/measure/bench/instrument_leases.h"
@@ -13,6 +14,8 @@ namespace {
 
 /// The guard closes the port first and then reports why.
 constexpr std::chrono::milliseconds kNewsTime{500};
+/// The name of the only port of a stage; each of two has the name of its axis.
+constexpr std::array<Term, 1> kPorts{"stage"};
 
 }  // namespace
 
@@ -38,12 +41,12 @@ void GuardedStage::prepare() {
   guard_->hold(port_, std::move(recipes));
   is_held_ = true;
   if (const std::string before = guard_->last_incident(); !before.empty())
-    events_.push_back({RealClock().now(), std::string(kGuardEvent), "The time before: " + before});
-  events_.push_back(
-      {RealClock().now(), std::string(kGuardEvent),
-       fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its "
-                   "axes if this program dies or hangs.",
-                   guard_->process(), port_)});
+    events_.push_back(
+        {RealClock().now(), std::string(kGuardEvent), Message("The time before: {incident}", before)});
+  events_.push_back({RealClock().now(), std::string(kGuardEvent),
+                     Message("A process of its own (abcal-guard, {process}) holds the port of the {port} and "
+                             "halts its axes if this program dies or hangs.",
+                             guard_->process(), word_of(kPorts, port_))});
 }
 
 StageInfo GuardedStage::identify() {

@@ -3,27 +3,25 @@
 #include <fmt/format.h>
 #include <poll.h>
 #include <signal.h>
-#include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <cstdlib>
-#include <cstring>
 #include <fstream>
 #include <stdexcept>
 #include <utility>
 
 #include "app/measure/guard/guard_log.h"
+#include "app/system/channel.h"
 #include "app/system/detached_process.h"
 #include "app/system/helper_program.h"
+#include "app/system/last_signal.h"
 #include "app/system/output.h"
-#include "app/system/state_folder.h"
+#include "app/system/temporary_folder.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/halt_recipe.h"
 #include "drivers/wire/port_held.h"
@@ -44,6 +42,10 @@ constexpr std::chrono::seconds kAnswerTime{5};
 constexpr std::chrono::seconds kOpenTime{15};
 /// Between the end of an attempt of the guard and its news of it.
 constexpr Clock::Duration kAnswerMargin = 500ms;
+/// Between the starts of two guards.
+constexpr Clock::Duration kBetweenGuards = 1s;
+/// At the end: between two looks at signals, and before it is said what is waited for.
+constexpr Clock::Duration kLook = 50ms, kQuietWait = 1s;
 constexpr const char* kGone = "its guard has ended";
 
 /// Where memory is short the system ends this program before the guard, which was started with the score of
@@ -67,13 +69,18 @@ void prefer_as_victim() {
                         detail);
 }
 
+nlohmann::json recipes_packet(const std::string& name, const std::vector<HaltRecipe>& recipes) {
+  nlohmann::json list = nlohmann::json::array();
+  for (const HaltRecipe& recipe : recipes) list.push_back(to_json(recipe));
+  return {{"kind", to_guard::kRecipes}, {"name", name}, {"recipes", std::move(list)}};
+}
+
 }  // namespace
 
 std::filesystem::path guard_folder() {
   if (const char* folder = std::getenv("XDG_RUNTIME_DIR"); folder != nullptr && *folder != '\0')
     return folder;
-  std::filesystem::path folder =
-      std::filesystem::temp_directory_path() / fmt::format("abcal-{}", ::geteuid());
+  std::filesystem::path folder = temporary_place() / fmt::format("abcal-{}", ::geteuid());
   ::mkdir(folder.c_str(), 0700);
   struct stat status {};
   // Another user may have made it, to listen in.
@@ -90,30 +97,25 @@ std::vector<nlohmann::json> ask_guards(pid_t owner, const nlohmann::json& questi
   std::error_code error;
   const std::string begin = fmt::format("abcal-guard-{}-", owner);
   for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
-    const std::string path = entry.path().string();
-    sockaddr_un address{};
-    if (!entry.path().filename().string().starts_with(begin) || path.size() >= sizeof address.sun_path)
-      continue;
-    address.sun_family = AF_UNIX;
-    std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
-    const int socket = ::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    pollfd answer{.fd = socket, .events = POLLIN, .revents = 0};
-    if (::connect(socket, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 &&
-        send_guard_packet(socket, question) && ::poll(&answer, 1, static_cast<int>(longest.count())) == 1) {
-      try {
-        if (const auto packet = receive_guard_packet(socket)) answers.push_back(packet->json);
-      } catch (const nlohmann::json::exception&) {  // Not a guard's answer.
-      }
+    if (!entry.path().filename().string().starts_with(begin)) continue;
+    try {
+      const Descriptor socket = connect_to(entry.path(), ChannelKind::kPackets);
+      if (!send_guard_packet(socket.number(), question) || !wait_until_readable(socket.number(), longest))
+        continue;
+      if (const auto packet = receive_guard_packet(socket.number())) answers.push_back(packet->json);
+    } catch (const std::system_error&) {          // Its guard has ended.
+    } catch (const nlohmann::json::exception&) {  // Not a guard's answer.
     }
-    ::close(socket);
   }
   return answers;
 }
 
-HaltGuard::HaltGuard(const std::string& who, const std::string& bench)
-    : has_name_(!bench.empty()),
-      bench_(bench.empty() ? "on a bench without a name" : fmt::format("on the bench \"{}\"", bench)),
-      owner_(fmt::format("{} {} (process {})", who, bench_, ::getpid())) {}
+HaltGuard::HaltGuard(const std::string& who, std::string bench)
+    : bench_(std::move(bench)),
+      owner_(fmt::format("{} {} (process {})", who, bench_, ::getpid())),
+      halt_first_([this] {
+        if (may_move()) (void)halt("the program is suspended (Ctrl-Z)");
+      }) {}
 
 HaltGuard::~HaltGuard() {
   end();
@@ -131,7 +133,7 @@ std::string HaltGuard::last_incident() const {
 
 bool HaltGuard::may_move() const {
   const std::lock_guard lock(mutex_);
-  return beat_.may_move[0] || beat_.may_move[1];
+  return may_move_locked();
 }
 
 bool HaltGuard::is_alive() const {
@@ -140,58 +142,134 @@ bool HaltGuard::is_alive() const {
 }
 
 void HaltGuard::start() {
-  end();
-  const ConnectedProcess guard =
+  watcher_ = {};  // It may be about to replace a guard that is gone.
+  if (!is_alive()) {
+    collect();
+    const std::filesystem::path log = motion_log();
+    const std::string incident = log.empty() ? "" : read_motion(log, bench_).incident;
+    {
+      const std::lock_guard lock(mutex_);
+      incident_ = incident;
+      halted_because_.clear();
+    }
+    launch();
+  }
+  const std::lock_guard lock(mutex_);
+  is_watched_ = true;
+  watcher_ = std::jthread([this](const std::stop_token& stop) { watch(stop); });
+}
+
+/// Starts a guard, which takes over the ports behind which an axis may be moving.
+void HaltGuard::launch() {
+  ConnectedProcess guard =
       start_connected(helper_program("abcal-guard", "halting a stage whose program has died needs"));
-  {
-    const std::lock_guard lock(mutex_);
-    process_ = guard.process;
-    socket_ = guard.socket;
-    pidfd_ = static_cast<int>(::syscall(SYS_pidfd_open, guard.process, 0));
-    alive_ = true;
-    heard_ = clock_.now();
-    beat_ = {};
-    halted_because_.clear();
-  }
   prefer_as_victim();
-  const std::filesystem::path folder = guard_folder(), log = state_folder();
-  if (!log.empty() && has_name_) {
-    const std::string incident = abcal::last_incident(log / "motion.log", bench_).value_or("");
-    const std::lock_guard lock(mutex_);
-    incident_ = incident;
-  }
   // Several guards may belong to one program, one after the other.
   static std::atomic<int> started = 0;
+  const std::filesystem::path folder = guard_folder();
   const std::string path =
       folder.empty() ? "" : (folder / fmt::format("abcal-guard-{}-{}", ::getpid(), ++started)).string();
   const Json introduction = {{"kind", to_guard::kOwner},
                              {"words", owner_},
-                             {"log", log.empty() ? "" : (log / "motion.log").string()},
+                             {"bench", bench_},
+                             {"log", motion_log().string()},
                              {"listen", path}};
-  if (!send_guard_packet(socket_, introduction)) throw std::runtime_error("the guard does not answer");
-  watcher_ = std::jthread([this](const std::stop_token& stop) { watch(stop); });
+  const std::lock_guard lock(mutex_);
+  process_ = guard.process;
+  socket_ = std::move(guard.socket);
+  pidfd_ = Descriptor(static_cast<int>(::syscall(SYS_pidfd_open, guard.process, 0)));
+  launched_ = clock_.now();
+  heard_ = launched_ + kAnswerTime;  // It starts, which may take that long on a busy machine.
+  guard_ends_ = false;
+  alive_ = send_guard_packet(socket_.number(), introduction);
+  for (const auto& [name, port] : ports_) {
+    const std::vector<HaltRecipe>& recipes = recipes_[name];
+    if (std::ranges::none_of(recipes, [this](const HaltRecipe& recipe) {
+          return (recipe.axes[0] && beat_.may_move[0]) || (recipe.axes[1] && beat_.may_move[1]);
+        }))
+      continue;
+    Json take_over = to_json(port.request);
+    take_over["kind"] = to_guard::kTakeOver;
+    alive_ = alive_ && send_guard_packet(socket_.number(), recipes_packet(name, recipes)) &&
+             send_guard_packet(socket_.number(), take_over) &&
+             send_guard_packet(socket_.number(), to_json(LeaseRequest{name, port.leases, owner_}));
+  }
+  if (has_ended_) alive_ = alive_ && send_guard_packet(socket_.number(), {{"kind", to_guard::kEnd}});
+  if (!alive_) throw std::runtime_error("the guard does not answer");
+}
+
+/// Starts another guard in place of one that is gone if an axis is not confirmed at rest.
+/// @return whether there is one now
+bool HaltGuard::replace() {
+  {
+    const std::lock_guard lock(mutex_);
+    if (guard_ends_ || !may_move_locked()) return false;
+  }
+  collect();
+  clock_.sleep_until(launched_ + kBetweenGuards);
+  try {
+    launch();
+    print_error(fmt::format("stage: another guard (process {}) goes on with the halt", process()));
+    return true;
+  } catch (const std::exception& error) {
+    print_error(fmt::format("stage: {}; stop it by its own switch", error.what()));
+    return false;
+  }
 }
 
 void HaltGuard::end() {
-  pid_t process = -1;
   {
     const std::lock_guard lock(mutex_);
-    if (socket_ < 0) return;
-    if (alive_) (void)send_guard_packet(socket_, {{"kind", to_guard::kEnd}});
-    process = process_;
+    has_ended_ = true;
+    if (alive_) (void)send_guard_packet(socket_.number(), {{"kind", to_guard::kEnd}});
   }
-  // The next owner finds the ports free: the guard's end is waited for, unless it still halts.
-  pollfd ended{.fd = pidfd_, .events = POLLIN, .revents = 0};
-  const bool has_ended = pidfd_ < 0 || ::poll(&ended, 1, std::chrono::milliseconds(kAnswerTime).count()) == 1;
+  wait_for_rest();
   watcher_ = {};
+  collect();
+}
+
+/// Waits for the end of a guard that has nothing to do or is gone: whoever is next finds its ports free.
+void HaltGuard::collect() {
+  if (socket_.number() < 0) return;
+  if (pidfd_.number() < 0 || wait_until_readable(pidfd_.number(), kAnswerTime))
+    ::waitpid(process_, nullptr, 0);
   const std::lock_guard lock(mutex_);
   alive_ = false;
-  ::close(std::exchange(socket_, -1));
-  if (pidfd_ >= 0) ::close(std::exchange(pidfd_, -1));
-  if (has_ended) ::waitpid(process, nullptr, 0);
+  socket_.close();
+  pidfd_.close();
   process_ = -1;
-  for (const auto& [name, descriptor] : std::exchange(duplicates_, {})) ::close(descriptor);
+  duplicates_.clear();            // They would keep the ports locked.
+  if (may_move_locked()) return;  // Another guard needs what follows.
+  beat_ = {};
   recipes_.clear();
+  ports_.clear();
+}
+
+/// Waits until the guard has nothing to do any more, and says what it waits for.
+void HaltGuard::wait_for_rest() {
+  const Clock::Instant begun = clock_.now();
+  int told = -1;  // The number of signals when it was said last.
+  std::unique_lock lock(mutex_);
+  while (!changed_.wait_for(lock, kLook, [this] { return guard_ends_ || !is_watched_; })) {
+    const Clock::Duration waited = clock_.now() - begun;
+    if (!may_move_locked() && waited > kAnswerTime) return;  // It hangs, with nothing left to halt.
+    if (!may_move_locked() || waited < kQuietWait || told == interrupt_signals()) continue;
+    told = interrupt_signals();
+    print_error(
+        fmt::format("{}. {} waits until abcal-guard (process {}) has halted it, for ten minutes at "
+                    "most; stop it by its own switch",
+                    unconfirmed_locked(), owner_, process_));
+  }
+  if (told < 0 && !is_given_up_) return;
+  print_error(is_given_up_ || may_move_locked() ? unconfirmed_locked() + ". Nobody tries to halt it any more"
+                                                : "stage: all axes are at rest");
+}
+
+/// The axes that are not confirmed at rest, and since when, in words.
+std::string HaltGuard::unconfirmed_locked() const {
+  std::string words;
+  for (const auto& [name, report] : unconfirmed_) words += (words.empty() ? "" : "; ") + report;
+  return words.empty() ? "stage: " + in_words(HaltReport{}) : words;
 }
 
 std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const std::string& port,
@@ -200,30 +278,30 @@ std::unique_ptr<wire::ByteStream> HaltGuard::open(const std::string& name, const
   if (!is_alive()) start();
   {
     const std::lock_guard lock(mutex_);
-    if (const auto old = duplicates_.find(name); old != duplicates_.end()) {
-      ::close(old->second);  // It would keep the port locked.
-      duplicates_.erase(old);
-    }
+    duplicates_.erase(name);  // It would keep the port locked.
     halted_because_.clear();
   }
-  const auto answer = answer_to(name, to_json(PortRequest{name, port, settings, owner_}), kOpenTime);
+  auto answer = answer_to(name, to_json(PortRequest{name, port, settings, owner_}), kOpenTime);
   if (!answer) throw InstrumentError(port, Fault::kCannotOpen, "its guard does not answer");
   if (answer->json.value("kind", "") != to_owner::kOpened) throw_failure(answer->json, port);
-  if (answer->descriptors.size() > 1) {
+  {
     const std::lock_guard lock(mutex_);
-    duplicates_[name] = answer->descriptors[1];
+    ports_[name].request = {name, answer->json.at("again").get<std::string>(), settings, owner_};
+    if (answer->descriptors.size() > 1) duplicates_[name] = std::move(answer->descriptors[1]);
   }
-  return std::make_unique<wire::SocketStream>(answer->descriptors.at(0),
+  return std::make_unique<wire::SocketStream>(answer->descriptors.at(0).release(),
                                               answer->json.at("port").get<std::string>(), clock_);
 }
 
 void HaltGuard::lease(const std::string& name, std::vector<std::string> resources) {
   if (resources.empty()) return;
   const std::lock_guard starting(start_mutex_);
-  const auto answer = answer_to(name, to_json(LeaseRequest{name, std::move(resources), owner_}), kAnswerTime);
+  const auto answer = answer_to(name, to_json(LeaseRequest{name, resources, owner_}), kAnswerTime);
   if (!answer || answer->json.empty()) throw InstrumentError(name, Fault::kLinkLost, kGone);
   if (answer->json.value("kind", "") != to_owner::kLeased)
     throw_failure(answer->json, answer->json.value("instrument", name));
+  const std::lock_guard lock(mutex_);
+  ports_[name].leases = std::move(resources);
 }
 
 /// Asks the guard about a port. An answer without members: the guard has ended.
@@ -234,7 +312,7 @@ std::optional<GuardPacket> HaltGuard::answer_to(const std::string& name, const J
   std::future<GuardPacket> answered = promise->get_future();
   {
     const std::lock_guard lock(mutex_);
-    if (!alive_ || !send_guard_packet(socket_, question)) return GuardPacket{};
+    if (!alive_ || !send_guard_packet(socket_.number(), question)) return GuardPacket{};
     asked_[name] = promise;
   }
   if (answered.wait_for(longest) != std::future_status::ready) return std::nullopt;
@@ -242,14 +320,11 @@ std::optional<GuardPacket> HaltGuard::answer_to(const std::string& name, const J
 }
 
 void HaltGuard::hold(const std::string& name, std::vector<HaltRecipe> recipes) {
-  Json list = Json::array();
-  for (const HaltRecipe& recipe : recipes) list.push_back(to_json(recipe));
+  const Json packet = recipes_packet(name, recipes);
   std::unique_lock lock(mutex_);
   recipes_[name] = std::move(recipes);
   const int before = recipes_taken_;
-  const bool is_sent =
-      alive_ && send_guard_packet(
-                    socket_, {{"kind", to_guard::kRecipes}, {"name", name}, {"recipes", std::move(list)}});
+  const bool is_sent = alive_ && send_guard_packet(socket_.number(), packet);
   if (!is_sent || !changed_.wait_for(lock, kAnswerTime, [&] { return recipes_taken_ > before || !alive_; }) ||
       !alive_)
     throw InstrumentError(name, Fault::kLinkLost, fmt::format("{}; without a guard nothing moves", kGone));
@@ -293,7 +368,7 @@ void HaltGuard::beat(std::string_view awaits) noexcept {
 bool HaltGuard::send_beat_locked(std::string_view awaits) {
   beat_.awaits = awaits;
   beat_sent_ = clock_.now();
-  return alive_ && send_guard_packet(socket_, to_json(beat_));
+  return alive_ && send_guard_packet(socket_.number(), to_json(beat_));
 }
 
 HaltReport HaltGuard::halt(const std::string& why) noexcept {
@@ -309,7 +384,8 @@ HaltReport HaltGuard::halt(const std::string& why) noexcept {
       }
     }
     confirmed_ = {};
-    const bool is_asked = alive_ && send_guard_packet(socket_, {{"kind", to_guard::kHalt}, {"why", why}});
+    const bool is_asked =
+        alive_ && send_guard_packet(socket_.number(), {{"kind", to_guard::kHalt}, {"why", why}});
     const auto is_answered = [&] {
       return !alive_ || ((!wanted[0] || confirmed_[0]) && (!wanted[1] || confirmed_[1]));
     };
@@ -335,16 +411,17 @@ HaltReport HaltGuard::halt_by_duplicates() {
   const Clock::Instant asked = clock_.now();
   const std::lock_guard alone(duplicates_mutex_);
   if (halted_by_duplicates_at_ && *halted_by_duplicates_at_ >= asked) return last_halt_by_duplicates_;
-  std::map<std::string, int> descriptors;
+  std::map<std::string, Descriptor> descriptors;
   std::map<std::string, std::vector<HaltRecipe>> recipes;
   {
     const std::lock_guard lock(mutex_);
-    for (const auto& [name, descriptor] : duplicates_) descriptors[name] = ::dup(descriptor);
+    for (const auto& [name, descriptor] : duplicates_)
+      descriptors[name] = Descriptor(::dup(descriptor.number()));
     recipes = recipes_;
   }
   HaltReport report;
   for (const auto& [name, descriptor] : descriptors) {
-    wire::DescriptorStream stream(descriptor, name, clock_);
+    wire::DescriptorStream stream(descriptor.number(), name, clock_);
     for (const HaltRecipe& recipe : recipes[name]) {
       if (!recipe.chamber.empty()) continue;
       const Clock::Instant deadline = clock_.now() + wire::longest_halt(recipe);
@@ -352,7 +429,6 @@ HaltReport HaltGuard::halt_by_duplicates() {
       for (std::size_t k = 0; k < 2; ++k)
         if (recipe.axes[k]) report.axes[k] = AxisHalt::kHalted;
     }
-    ::close(descriptor);
   }
   const std::lock_guard lock(mutex_);
   for (std::size_t k = 0; k < 2; ++k)
@@ -381,12 +457,12 @@ void HaltGuard::watch(const std::stop_token& stop) {
       const std::lock_guard lock(mutex_);
       heard_ = tick;
     }
-    std::array<pollfd, 2> waiting{pollfd{.fd = socket_, .events = POLLIN, .revents = 0},
-                                  pollfd{.fd = pidfd_, .events = POLLIN, .revents = 0}};
+    std::array<pollfd, 2> waiting{pollfd{.fd = socket_.number(), .events = POLLIN, .revents = 0},
+                                  pollfd{.fd = pidfd_.number(), .events = POLLIN, .revents = 0}};
     ::poll(waiting.data(), waiting.size(), kTickMs);
     if ((waiting[0].revents & POLLIN) != 0) {
       try {
-        if (auto packet = receive_guard_packet(socket_)) {
+        if (auto packet = receive_guard_packet(socket_.number())) {
           receive(*std::move(packet));
           continue;  // All received packets count before its silence does.
         }
@@ -399,16 +475,22 @@ void HaltGuard::watch(const std::stop_token& stop) {
     bool is_silent = false, moves = false;
     {
       const std::lock_guard lock(mutex_);
-      moves = beat_.may_move[0] || beat_.may_move[1];
+      moves = may_move_locked();
       is_silent = moves && clock_.now() - heard_ > kSilent;
     }
     if (!is_dead && !is_silent) continue;
     // On a busy machine this thread may have been suspended since poll(): a packet that arrived meanwhile
     // counts first.
-    if (!is_dead && ::poll(waiting.data(), 1, 0) == 1) continue;
+    if (!is_dead && wait_until_readable(socket_.number(), 0ms)) continue;
     note_silence(is_dead ? "the guard of the stage has died" : "the guard of the stage does not answer");
-    return;
+    if (!replace()) break;
+    last_tick = clock_.now();
   }
+  {
+    const std::lock_guard lock(mutex_);
+    is_watched_ = false;
+  }
+  changed_.notify_all();
 }
 
 void HaltGuard::note_silence(const std::string& why) {
@@ -416,8 +498,9 @@ void HaltGuard::note_silence(const std::string& why) {
   {
     const std::lock_guard lock(mutex_);
     alive_ = false;
-    moves = (beat_.may_move[0] || beat_.may_move[1]) && halted_because_.empty();
-    if (moves) halted_because_ = why + " while an axis was moving; this program halts the axes itself";
+    moves = may_move_locked() && !guard_ends_;
+    if (moves && halted_because_.empty())
+      halted_because_ = why + " while an axis was moving; this program halts the axes itself";
     for (const auto& [name, opening] : std::exchange(asked_, {})) opening->set_value({});
   }
   changed_.notify_all();
@@ -446,8 +529,17 @@ void HaltGuard::receive(GuardPacket packet) {
     } else if (kind == to_owner::kHalted) {
       const bool is_confirmed = packet.json.value("confirmed", false);
       for (const StageAxis axis : kStageAxes)
-        if (packet.json.value(axis == StageAxis::kX ? "x" : "z", false))
+        if (packet.json.value(axis == StageAxis::kX ? "x" : "z", false)) {
           confirmed_[index(axis)] = is_confirmed;
+          if (is_confirmed) beat_.may_move[index(axis)] = false;
+        }
+      if (is_confirmed)
+        unconfirmed_.erase(packet.json.value("name", ""));
+      else
+        unconfirmed_[packet.json.value("name", "")] = packet.json.value("words", "");
+    } else if (kind == to_owner::kEnds) {
+      guard_ends_ = true;
+      is_given_up_ = packet.json.value("given_up", false);
     }
   }
   changed_.notify_all();

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "app/measure/guard/guard_packets.h"
+#include "app/system/descriptor.h"
 #include "app/system/interrupt.h"
 #include "app/system/real_clock.h"
 #include "drivers/instrument/clock.h"
@@ -32,15 +33,18 @@ namespace abcal {
 /// of a stage and a chamber and passes the bytes on. It halts the axes if this process dies or its moving
 /// thread gives no sign of life for 1 s while an axis may be moving. This end watches the guard in turn:
 /// while an axis may be moving and the guard is dead or silent for 0.9 s, the axes are halted over duplicates
-/// of the ports' descriptors.
+/// of the ports' descriptors, and by another guard where that is not confirmed. Ctrl-Z halts the axes before
+/// it suspends the program.
 ///
 /// Functions may be called from any thread.
 class HaltGuard {
  public:
   /// @param who  moves the bench, for the guard's log and for programs that find a port in use: "a run by A.
   /// B."
-  HaltGuard(const std::string& who, const std::string& bench);
-  /// The stage is at rest: waits until the guard has released the ports and ended.
+  /// @param bench  bench_in_words()
+  HaltGuard(const std::string& who, std::string bench);
+  /// Waits until the guard has ended: it halts every axis that is not confirmed at rest, and tries this for
+  /// ten minutes. What is waited for is printed, and again at each signal.
   ~HaltGuard();
   HaltGuard(const HaltGuard&) = delete;
   HaltGuard& operator=(const HaltGuard&) = delete;
@@ -92,35 +96,51 @@ class HaltGuard {
  private:
   using Json = nlohmann::json;
 
+  /// A port, as another guard takes it over.
+  struct Port {
+    PortRequest request;
+    std::vector<std::string> leases;
+  };
+
   void start();
+  void launch();
+  bool replace();
   void end();
+  void wait_for_rest();
+  void collect();
   std::optional<GuardPacket> answer_to(const std::string& name, const Json& question,
                                        std::chrono::seconds longest);
   void watch(const std::stop_token& stop);
   void receive(GuardPacket packet);
   void note_silence(const std::string& why);
   bool may_move() const;
+  bool may_move_locked() const { return beat_.may_move[0] || beat_.may_move[1]; }
+  std::string unconfirmed_locked() const;
   HaltReport halt_by_duplicates();
   bool send_beat_locked(std::string_view awaits);
   bool is_alive() const;
 
   RealClock clock_;
-  const bool has_name_;              ///< The bench has one: its last session can be found in the log.
   const std::string bench_, owner_;  ///< In words: "on the bench \"left\"", "a run on the bench \"left\"".
 
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;
-  int socket_ = -1;
-  int pidfd_ = -1;
+  Descriptor socket_, pidfd_;
   pid_t process_ = -1;
   bool alive_ = false;
-  Clock::Instant heard_, beat_sent_;
+  bool is_watched_ = false;   ///< The watcher runs, and starts another guard if that is needed.
+  bool has_ended_ = false;    ///< This end moves nothing any more.
+  bool guard_ends_ = false;   ///< The guard says that it has nothing to do any more.
+  bool is_given_up_ = false;  ///< ... although an axis is not confirmed at rest.
+  Clock::Instant launched_, heard_, beat_sent_;
   OwnerBeat beat_;
   std::optional<std::thread::id> moving_thread_;
   /// Requests for a port, by its name, that the guard has not answered yet: at most one for each port.
   std::map<std::string, std::shared_ptr<std::promise<GuardPacket>>> asked_;
-  std::map<std::string, int> duplicates_;  ///< Descriptors of open ports, by name.
+  std::map<std::string, Descriptor> duplicates_;  ///< Descriptors of open ports, by name.
   std::map<std::string, std::vector<HaltRecipe>> recipes_;
+  std::map<std::string, Port> ports_;               ///< By name.
+  std::map<std::string, std::string> unconfirmed_;  ///< In words, by name: halts that are not confirmed.
   int recipes_taken_ = 0;
   std::string halted_because_;
   std::string incident_;
@@ -129,7 +149,8 @@ class HaltGuard {
   std::optional<Clock::Instant> halted_by_duplicates_at_;
   HaltReport last_halt_by_duplicates_;
   std::mutex start_mutex_;  ///< Held while a guard is started or a port is opened.
-  std::jthread watcher_;    ///< Last: it ends before the members that it uses.
+  std::jthread watcher_;    ///< It ends before the members that it uses.
+  BeforeSuspension halt_first_;
 };
 
 /// Folder for the sockets of running guards: XDG_RUNTIME_DIR, or a folder of this user in the temporary one.

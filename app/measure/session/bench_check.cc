@@ -36,27 +36,29 @@ constexpr double kShortestLookS = 1.0;
 
 /// A simple difference between bench and bench file that may explain the readings.
 struct Hypothesis {
-  std::string words;
+  Message words;
   int sign_x = +1, sign_z = +1;
   Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();  ///< Output = axes * (force along x, y, z).
 };
 
 std::vector<Hypothesis> hypotheses() {
   std::vector<Hypothesis> all{
-      {"", +1, +1, Eigen::Matrix3d::Identity()},
-      {"[stage.x] sign is wrong", -1, +1, Eigen::Matrix3d::Identity()},
-      {"[stage.z] sign is wrong", +1, -1, Eigen::Matrix3d::Identity()},
-      {"both signs, [stage.x] and [stage.z], are wrong", -1, -1, Eigen::Matrix3d::Identity()}};
+      {{}, +1, +1, Eigen::Matrix3d::Identity()},
+      {Message("[stage.x] sign is wrong"), -1, +1, Eigen::Matrix3d::Identity()},
+      {Message("[stage.z] sign is wrong"), +1, -1, Eigen::Matrix3d::Identity()},
+      {Message("both signs, [stage.x] and [stage.z], are wrong"), -1, -1, Eigen::Matrix3d::Identity()}};
   std::array<int, 3> order{0, 1, 2};
   do {
     for (int signs = 0; signs < 8; ++signs) {
-      Hypothesis h{"u, v, w of the accelerometer are along", +1, +1, Eigen::Matrix3d::Zero()};
+      Hypothesis h{{}, +1, +1, Eigen::Matrix3d::Zero()};
+      std::array<std::string, 3> along;
       for (int j = 0; j < 3; ++j) {
         const bool reversed = ((signs >> j) & 1) != 0;
         const int axis = order[static_cast<std::size_t>(j)];
         h.axes(j, axis) = reversed ? -1.0 : 1.0;
-        h.words += fmt::format("{} {}{}", j == 0 ? "" : ",", reversed ? "-" : "+", "xyz"[axis]);
+        along[static_cast<std::size_t>(j)] = fmt::format("{}{}", reversed ? "-" : "+", "xyz"[axis]);
       }
+      h.words = Message("u, v, w of the accelerometer are along {u}, {v}, {w}", along[0], along[1], along[2]);
       if (!h.axes.isIdentity()) all.push_back(std::move(h));
     }
   } while (std::next_permutation(order.begin(), order.end()));
@@ -91,30 +93,39 @@ std::string in_words(const Eigen::Vector3d& v, const std::string& unit) {
   return fmt::format("({:+.5g}, {:+.5g}, {:+.5g}) {}", v[0], v[1], v[2], unit);
 }
 
+/// A text that an instrument reports, e.g. its serial number.
+Message reported(const std::string& text) {
+  return text.empty() ? Message("not reported") : Message("{reported}", text);
+}
+
 class Checker {
  public:
   Checker(Bench& bench, const BenchConfig& config, const CheckOptions& options)
       : bench_(bench), config_(config), options_(options) {}
 
   std::vector<Finding> run() {
-    for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
-    if (bench_.chamber) attempt("chamber", [&] { check_chamber(); });
-    const bool stage = attempt("stage", [&] { check_stage(); });
+    for (const std::string& warning : config_.warnings)
+      add(Grade::kWarning, Message("bench file"), Message::bare(warning));
+    if (bench_.chamber) attempt(Message("chamber"), [&] { check_chamber(); });
+    const bool stage = attempt(Message("stage"), [&] { check_stage(); });
     const bool accelerometer = check_accelerometers();
     if (options_.no_motion) {
-      add(Grade::kLeftOut, "signs and axes", "not checked: nothing was moved (--no-motion)");
+      add(Grade::kLeftOut, kSignsFinding, Message("not checked: nothing was moved (--no-motion)"));
     } else if (!stage || !accelerometer || failed_) {
-      add(Grade::kLeftOut, "signs and axes", "not checked: nothing was moved because of the problems above");
+      add(Grade::kLeftOut, kSignsFinding,
+          Message("not checked: nothing was moved because of the problems above"));
     } else {
-      attempt("signs and axes", [&] { turn(); });
+      attempt(kSignsFinding, [&] { turn(); });
     }
     return std::move(findings_);
   }
 
  private:
-  void add(Grade grade, std::string what, std::string found, std::string advice = "") {
+  void add(Grade grade, const Message& what, Message found, Message advice = {}) {
     failed_ = failed_ || grade == Grade::kProblem;
-    findings_.push_back({grade, of_item_ + what, std::move(found), std::move(advice)});
+    const bool of_one = item_ > 0 && config_.has_several_items();
+    findings_.push_back({grade, of_one ? Message("item {item}, {what}", item_, what) : what, std::move(found),
+                         std::move(advice)});
   }
 
   /// @return whether all accelerometers answer
@@ -122,9 +133,10 @@ class Checker {
     bool all = true;
     identities_.items.clear();
     for (const BenchItem& item : bench_.items) {
-      of_item_ = item_words(config_, item.k);
+      item_ = item.k;
       if (!item.is_open()) {
-        add(Grade::kProblem, "accelerometer", item.missing, "connect it, or measure without it");
+        add(Grade::kProblem, Message("accelerometer"), item.missing,
+            Message("connect it, or measure without it"));
         all = false;
         continue;
       }
@@ -132,31 +144,32 @@ class Checker {
       all = check_one(*item.accelerometer, config_.item(item.k)) && all;
       identities_.items.push_back({item.k, info_, {}, {}});
     }
-    of_item_.clear();
+    item_ = 0;
     return all;
   }
 
   bool check_one(Accelerometer& accelerometer, const BenchItemConfig& item) {
     const AccelerometerConfig& stated = item.accelerometer;
-    const bool answers = attempt("accelerometer", [&] { check_accelerometer(accelerometer, stated); });
-    if (answers) attempt(std::string(kItemFinding), [&] { check_identity(item); });
-    if (answers) attempt("readings at rest", [&] { check_at_rest(accelerometer, stated); });
+    const bool answers =
+        attempt(Message("accelerometer"), [&] { check_accelerometer(accelerometer, stated); });
+    if (answers) attempt(kItemFinding, [&] { check_identity(item); });
+    if (answers) attempt(Message("readings at rest"), [&] { check_at_rest(accelerometer, stated); });
     accelerometer.stop();
     return answers;
   }
 
   /// A failing instrument is a finding here, not an error.
   template <class Look>
-  bool attempt(const std::string& topic, Look look) {
+  bool attempt(const Message& topic, Look look) {
     try {
       look();
       return true;
     } catch (const InstrumentError& error) {
-      add(Grade::kProblem, topic, error.what());
+      add(Grade::kProblem, topic, message_of(error));
     } catch (const PlanError& error) {
-      add(Grade::kProblem, topic, error.what());
+      add(Grade::kProblem, topic, message_of(error));
     } catch (const std::invalid_argument& error) {
-      add(Grade::kProblem, topic, error.what());
+      add(Grade::kProblem, topic, message_of(error));
     }
     return false;
   }
@@ -166,15 +179,19 @@ class Checker {
     const ChamberInfo info = bench_.chamber->identify();
     require_serial_number("chamber", info.model, info.serial_number, config_.chamber.settings.serial_number);
     const ChamberReading now = bench_.chamber->read();
-    add(Grade::kGood, "chamber",
-        fmt::format("{} {}, set points {:g} to {:g} degC by its own hardware, air {:.1f} degC, {}",
-                    info.maker, info.model, info.least_set_degc, info.most_set_degc, now.air_degc,
-                    now.running ? "running" : "not running"));
+    add(Grade::kGood, Message("chamber"),
+        Message("{maker} {model}, set points {least:g} to {most:g} degC by its own hardware, air {air:.1f} "
+                "degC, {state}",
+                info.maker, info.model, info.least_set_degc, info.most_set_degc, now.air_degc,
+                now.running ? Message("running") : Message("not running")));
     for (const Problem& problem : chamber_problems(config_, info))
-      add(Grade::kProblem, "[temperature]", problem.found, "required: " + problem.required);
-    if (now.door_open) add(Grade::kProblem, "chamber", "its door is open", "close it");
+      add(Grade::kProblem, Message("[temperature]"), Message::bare(problem.found),
+          Message("required: {required}", problem.required));
+    if (now.door_open)
+      add(Grade::kProblem, Message("chamber"), Message("its door is open"), Message("close it"));
     for (const std::string& alarm : now.alarms)
-      add(Grade::kProblem, "chamber", "alarm: " + alarm, "find its cause at the chamber");
+      add(Grade::kProblem, Message("chamber"), Message("alarm: {alarm}", alarm),
+          Message("find its cause at the chamber"));
   }
 
   void check_stage() {
@@ -182,58 +199,63 @@ class Checker {
     const StageInfo& info = identities_.stage;
     const std::string& stated = config_.stage.serial_number;
     require_or_state_serial_number("stage", info.model, info.serial_number, stated);
-    const std::string not_reported =
-        stated.empty() ? "not reported"
-                       : fmt::format("{} as the bench file states it (not reported)", stated);
-    add(Grade::kGood, "stage",
-        fmt::format("{} {}, serial number {}, firmware {}", info.maker, info.model,
-                    is_serial_number_reported(info.serial_number) ? info.serial_number : not_reported,
-                    info.firmware.empty() ? "not reported" : info.firmware));
+    const Message serial_number =
+        is_serial_number_reported(info.serial_number) || stated.empty()
+            ? reported(info.serial_number)
+            : Message("{stated} as the bench file states it (not reported)", stated);
+    add(Grade::kGood, Message("stage"),
+        Message("{maker} {model}, serial number {serial}, firmware {firmware}", info.maker, info.model,
+                serial_number, reported(info.firmware)));
     for (const StageAxis axis : kStageAxes) {
       const StageAxisInfo& a = info.axes[index(axis)];
-      const std::string name = fmt::format("stage axis {}", to_string(axis));
+      const Message name("stage axis {axis}", to_string(axis));
       add(Grade::kGood, name,
-          fmt::format("travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg, {}",
-                      a.travel_min.deg(), a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg(),
-                      a.referenced ? "homed" : "not homed yet: a run homes it first"));
+          Message("travel {lowest:g} to {highest:g} deg, speed {speed:g} deg/s, resolution {resolution:g} "
+                  "deg, {state}",
+                  a.travel_min.deg(), a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg(),
+                  a.referenced ? Message("homed") : Message("not homed yet: a run homes it first")));
       if (a.resolution > config_.protocol.position_window)
         add(Grade::kProblem, name,
-            fmt::format("its resolution of {:g} deg is coarser than position_window_deg = {:g}",
-                        a.resolution.deg(), config_.protocol.position_window.deg()),
-            "set position_window_deg to the resolution or more");
+            Message("its resolution of {resolution:g} deg is coarser than position_window_deg = {window:g}",
+                    a.resolution.deg(), config_.protocol.position_window.deg()),
+            Message("set position_window_deg to the resolution or more"));
     }
     const auto plan = make_rotation_plan(config_.protocol, identities_.travel());
-    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan are within the travel", plan.size()));
+    add(Grade::kGood, Message("travel"),
+        Message("all {angles} angles of the plan are within the travel", plan.size()));
   }
 
   void check_accelerometer(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
     info_ = accelerometer.identify();
     const AccelerometerInfo& info = info_;
     require_serial_number_of_accelerometer("accelerometer", stated, info);
-    std::string words =
-        fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker, info.model,
-                    info.serial_number.empty() ? "not reported" : info.serial_number,
-                    info.firmware.empty() ? "not reported" : info.firmware, info.output_unit);
-    if (info.full_scale) words += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
-    add(Grade::kGood, "accelerometer", words);
+    const Message known("{maker} {model}, serial number {serial}, firmware {firmware}, output in {unit}",
+                        info.maker, info.model, reported(info.serial_number), reported(info.firmware),
+                        info.output_unit);
+    add(Grade::kGood, Message("accelerometer"),
+        info.full_scale
+            ? Message("{known}, full scale {full_scale:g} {unit}", known, *info.full_scale, info.output_unit)
+            : known);
     const std::string& unit = stated.settings.unit;
     if (!unit.empty() && stated.driver != "simulated" && unit != info.output_unit)
-      add(Grade::kProblem, "response unit",
-          fmt::format("its output is in {}, response_unit is {}", info.output_unit, unit),
-          "set response_unit to the unit of the instrument, or remove it");
+      add(Grade::kProblem, Message("response unit"),
+          Message("its output is in {found}, response_unit is {stated}", info.output_unit, unit),
+          Message("set response_unit to the unit of the instrument, or remove it"));
   }
 
   /// Compares what the instrument reports with [item].
   void check_identity(const BenchItemConfig& item) {
     require_item_as_stated("accelerometer", item, info_);
     const ItemIdentityParts parts = identity_parts_of(item, info_);
-    std::string names;
-    for (const IdentityPart& part : parts)
-      names += fmt::format("{}{} {}", names.empty() ? "" : ", ", part.words,
-                           part.text().empty() ? "not known" : part.text());
+    std::vector<Message> names;
+    for (const IdentityPart& part : parts) {
+      const Message text = part.text().empty() ? Message("not known") : Message("{text}", part.text());
+      names.push_back(Message("{part} {text}", Message::bare(part.words), text));
+    }
+    const Message all = in_sequence(names, ", ");
     const std::string sources = describe_sources(parts);
-    add(Grade::kGood, std::string(kItemFinding),
-        sources.empty() ? names : fmt::format("{}: {}", names, sources));
+    add(Grade::kGood, kItemFinding,
+        sources.empty() ? all : Message("{parts}: {sources}", all, Message::bare(sources)));
   }
 
   void check_at_rest(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
@@ -250,7 +272,7 @@ class Checker {
       if (!reading)
         throw InstrumentError(
             "accelerometer " + info_.model, Fault::kNoReply,
-            fmt::format("no reading for {} s (reading_timeout_s)", config_.protocol.reading_timeout_s));
+            Message("no reading for {seconds} s (reading_timeout_s)", config_.protocol.reading_timeout_s));
       readings.push_back(*reading);
     }
     const DwellStatistics at_rest = dwell_statistics(readings, info_);
@@ -258,34 +280,37 @@ class Checker {
     const double rate = rate_of(readings);
     const double asked = stated.settings.rate_hz;
     const bool rate_good = std::abs(rate / asked - 1.0) <= kRateTolerance;
-    add(rate_good ? Grade::kGood : Grade::kWarning, "sample rate",
-        fmt::format("{:.4g} readings/s, rate_hz = {:g}", rate, asked),
-        rate_good ? "" : "set rate_hz to the rate of the instrument");
+    add(rate_good ? Grade::kGood : Grade::kWarning, Message("sample rate"),
+        Message("{found:.4g} readings/s, rate_hz = {stated:g}", rate, asked),
+        rate_good ? Message() : Message("set rate_hz to the rate of the instrument"));
     const StreamHealth health = accelerometer.health();
     const bool whole = at_rest.lost == 0 && health.bad_frames == 0;
-    add(whole ? Grade::kGood : Grade::kWarning, "losses",
-        fmt::format("{} of {} readings lost, {} damaged frames", at_rest.lost, readings.size(),
-                    health.bad_frames),
-        whole ? "" : "use a better cable, a higher baud rate or a lower rate_hz");
+    add(whole ? Grade::kGood : Grade::kWarning, Message("losses"),
+        Message("{lost} of {all} readings lost, {damaged} damaged frames", at_rest.lost, readings.size(),
+                health.bad_frames),
+        whole ? Message() : Message("use a better cable, a higher baud rate or a lower rate_hz"));
     if ((at_rest.flags & kFlagClipped) != 0)
-      add(Grade::kProblem, "range", "an output clips at rest",
-          "set a larger full scale, or change the mounting");
+      add(Grade::kProblem, Message("range"), Message("an output clips at rest"),
+          Message("set a larger full scale, or change the mounting"));
     if (at_rest.not_finite > 0)
-      add(Grade::kProblem, "readings at rest", fmt::format("{} readings are not finite", at_rest.not_finite));
+      add(Grade::kProblem, Message("readings at rest"),
+          Message("{readings} readings are not finite", at_rest.not_finite));
     const bool silent = (at_rest.spread.array() == 0.0).all();
-    add(silent ? Grade::kWarning : Grade::kGood, "noise at rest",
-        fmt::format("mean {}, standard deviation {}, of the mean of {} readings {}",
-                    in_words(at_rest.mean, unit), in_words(at_rest.spread, unit), at_rest.count,
-                    in_words(at_rest.u_mean, unit)),
-        silent ? "an output that does not change at all may be stuck: touch the bench and check whether it "
-                 "changes"
-               : "");
+    add(silent ? Grade::kWarning : Grade::kGood, Message("noise at rest"),
+        Message("mean {mean}, standard deviation {spread}, of the mean of {readings} readings {of_mean}",
+                in_words(at_rest.mean, unit), in_words(at_rest.spread, unit), at_rest.count,
+                in_words(at_rest.u_mean, unit)),
+        silent ? Message("an output that does not change at all may be stuck: touch the bench and check "
+                         "whether it changes")
+               : Message());
     if (const auto gravity = nominal_response({}, unit, config_.g_loc.value_mps2)) {
       const double norm = at_rest.mean.norm();
       const bool plausible = std::abs(norm / *gravity - 1.0) <= kNormTolerance;
-      add(plausible ? Grade::kGood : Grade::kProblem, "norm",
-          fmt::format("the readings' norm is {:.5g} {}, local gravity {:.5g} {}", norm, unit, *gravity, unit),
-          plausible ? "" : "check unit and full scale: at rest the norm is within 10 % of local gravity");
+      add(plausible ? Grade::kGood : Grade::kProblem, Message("norm"),
+          Message("the readings' norm is {found:.5g} {unit}, local gravity {required:.5g} {required_unit}",
+                  norm, unit, *gravity, unit),
+          plausible ? Message()
+                    : Message("check unit and full scale: at rest the norm is within 10 % of local gravity"));
     }
   }
 
@@ -293,23 +318,23 @@ class Checker {
     const std::vector<TurnedItem> items =
         measure_small_turn(bench_, config_, identities_, options_.listener, options_.stop);
     for (std::size_t k = 1; k <= items.size(); ++k) {
-      of_item_ = item_words(config_, static_cast<int>(k));
+      item_ = static_cast<int>(k);
       judge_turn(items[k - 1]);
     }
-    of_item_.clear();
+    item_ = 0;
   }
 
   void judge_turn(const TurnedItem& item) {
-    if (!item.missing.empty()) return add(Grade::kProblem, "signs and axes", item.missing);
+    if (!item.missing.empty()) return add(Grade::kProblem, kSignsFinding, item.missing);
     Eigen::Matrix3d from_outputs = Eigen::Matrix3d::Identity();  // Along the axes of the platter.
     if (const auto mounting = mounting_matrix(item.mounting)) from_outputs = mounting->transpose();
     std::vector<PoseReading> poses = item.poses;
     for (PoseReading& pose : poses) {
       pose.mean = from_outputs * pose.mean;
       if (pose.flags != 0)
-        add(Grade::kWarning, "readings",
-            fmt::format("at X = {:g} deg, Z = {:g} deg: {}", pose.x.deg(), pose.z.deg(),
-                        describe_flags(pose.flags)));
+        add(Grade::kWarning, Message("readings"),
+            Message("at X = {x:g} deg, Z = {z:g} deg: {flags}", pose.x.deg(), pose.z.deg(),
+                    describe_flags(pose.flags)));
     }
     const Finding signs = judge_signs(poses);
     add(signs.grade, signs.what, signs.found, signs.advice);
@@ -319,7 +344,7 @@ class Checker {
   const BenchConfig& config_;
   const CheckOptions& options_;
   bool failed_ = false;
-  std::string of_item_;     ///< item_words() of the item under test.
+  int item_ = 0;            ///< The item under test; 0: the bench.
   AccelerometerInfo info_;  ///< The identity that its accelerometer reported.
   Identities identities_;
   std::vector<Finding> findings_;
@@ -328,36 +353,41 @@ class Checker {
 }  // namespace
 
 Finding judge_signs(const std::vector<PoseReading>& poses) {
-  Finding finding{Grade::kGood, "signs and axes", "", ""};
+  Finding finding{Grade::kGood, kSignsFinding, {}, {}};
   double largest_change = 0.0;
   for (const PoseReading& pose : poses)
     largest_change = std::max(largest_change, (pose.mean - poses.front().mean).norm());
   if (!(largest_change > 0.05 * poses.front().mean.norm())) {
     finding.grade = Grade::kProblem;
-    finding.found = fmt::format("turning both axes changes the readings by only {:.2g}", largest_change);
-    finding.advice = "check that the accelerometer is fixed to this stage, and check both ports";
+    finding.found = Message("turning both axes changes the readings by only {change:.2g}", largest_change);
+    finding.advice = Message("check that the accelerometer is fixed to this stage, and check both ports");
     return finding;
   }
   std::vector<Hypothesis> all = hypotheses();
   const double as_configured = disagreement(poses, all.front());
   if (as_configured <= kAgreement) {
-    finding.found = fmt::format(
-        "both axes turn right-handed, as gravity requires; u, v, w are along x, y, z to about {:.0f} %",
+    finding.found = Message(
+        "both axes turn right-handed, as gravity requires; u, v, w are along x, y, z to about {within:.0f} %",
         100.0 * as_configured);
     return finding;
   }
-  std::string reasons;
-  for (std::size_t i = 1; i < all.size(); ++i) {
-    if (disagreement(poses, all[i]) <= kAgreement) reasons += (reasons.empty() ? "" : "; or ") + all[i].words;
-  }
+  std::vector<Message> reasons;
+  for (std::size_t i = 1; i < all.size(); ++i)
+    if (disagreement(poses, all[i]) <= kAgreement) reasons.push_back(all[i].words);
   // Any orientation of the accelerometer can be calibrated; a reversed stage axis cannot be distinguished
   // from it by gravity alone, and gives a wrong matrix: a person must look.
   finding.grade = Grade::kProblem;
-  finding.found = reasons.empty()
-                      ? "the readings do not change as gravity requires, and no simple cause explains this"
-                      : "the readings do not change as gravity and the bench file require";
-  finding.advice = reasons.empty() ? "check cables, mounting and the names of the axes"
-                                   : "inspect the bench; possible causes: " + reasons;
+  if (reasons.empty()) {
+    finding.found =
+        Message("the readings do not change as gravity requires, and no simple cause explains this");
+    finding.advice = Message("check cables, mounting and the names of the axes");
+    return finding;
+  }
+  finding.found = Message("the readings do not change as gravity and the bench file require");
+  Message causes = reasons.front();
+  for (std::size_t i = 1; i < reasons.size(); ++i)
+    causes = Message("{cause}; or {further}", causes, reasons[i]);
+  finding.advice = Message("inspect the bench; possible causes: {causes}", causes);
   return finding;
 }
 

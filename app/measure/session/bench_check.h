@@ -16,13 +16,15 @@ namespace abcal {
 struct Finding {
   enum class Grade { kGood, kWarning, kProblem, kLeftOut };
   Grade grade = Grade::kGood;
-  std::string what;    ///< "stage", "travel", "noise at rest", ...
-  std::string found;   ///< In words, with units.
-  std::string advice;  ///< Recommended action; empty: none.
+  Message what;    ///< "stage", "travel", "noise at rest", ...; of several items with its number.
+  Message found;   ///< With units.
+  Message advice;  ///< Recommended action; empty: none.
 };
 
 /// Finding::what of the comparison of an item with what its instrument reports.
-inline constexpr std::string_view kItemFinding = "item";
+inline constexpr Term kItemFinding = "item";
+/// Finding::what of the comparison of signs and axes with gravity.
+inline constexpr Term kSignsFinding = "signs and axes";
 
 /// "good", "warning", "problem", "left out"
 std::string_view to_string(Finding::Grade grade);

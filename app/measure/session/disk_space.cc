@@ -34,18 +34,26 @@ std::uintmax_t estimated_run_bytes(const DiskNeed& need) {
   return static_cast<std::uintmax_t>(std::ceil(bytes));
 }
 
-std::optional<std::string> check_disk_space(const std::filesystem::path& run_file, const DiskNeed& need,
-                                            std::optional<std::uintmax_t> free_bytes) {
+std::optional<Message> check_disk_space(const std::filesystem::path& run_file, const DiskNeed& need,
+                                        std::optional<std::uintmax_t> free_bytes) {
   const std::uintmax_t required = estimated_run_bytes(need);
   if (!free_bytes || *free_bytes >= kAmple * required) return std::nullopt;
-  const std::string found =
-      fmt::format("{}: {} are free on this disk; required: about {} for {} angles of {} readings{}",
-                  run_file.string(), in_megabytes(*free_bytes), in_megabytes(required), need.angles,
-                  need.readings_per_angle, need.with_recording ? " with a recording" : "");
+  const std::string file = run_file.string();
+  const auto free = in_megabytes(*free_bytes), wanted = in_megabytes(required);
+  const Message found = need.with_recording
+                            ? Message(
+                                  "{file}: {free} are free on this disk; required: about {required} for "
+                                  "{angles} angles of {readings} readings with a recording",
+                                  file, free, wanted, need.angles, need.readings_per_angle)
+                            : Message(
+                                  "{file}: {free} are free on this disk; required: about {required} for "
+                                  "{angles} angles of {readings} readings",
+                                  file, free, wanted, need.angles, need.readings_per_angle);
   if (*free_bytes < required) {
-    throw std::runtime_error(found + ". Free some space, or choose another disk with -o");
+    throw Telling<std::runtime_error>(
+        Message("{found}. Free some space, or choose another disk with -o", found));
   }
-  return found + ". Make sure that nothing else fills the disk during the run";
+  return Message("{found}. Make sure that nothing else fills the disk during the run", found);
 }
 
 std::optional<std::uintmax_t> free_disk_space(const std::filesystem::path& file) {

@@ -25,8 +25,8 @@ std::uintmax_t estimated_run_bytes(const DiskNeed& need);
 /// @param free_bytes  nullopt if unknown: the run is not refused
 /// @return a warning if less than three times the estimate is free.
 /// @throws std::runtime_error if less than the estimate is free; its text names found and required.
-std::optional<std::string> check_disk_space(const std::filesystem::path& run_file, const DiskNeed& need,
-                                            std::optional<std::uintmax_t> free_bytes);
+std::optional<Message> check_disk_space(const std::filesystem::path& run_file, const DiskNeed& need,
+                                        std::optional<std::uintmax_t> free_bytes);
 
 /// Free space for this user on the file system that holds the folder of a file; nullopt if it is unknown.
 std::optional<std::uintmax_t> free_disk_space(const std::filesystem::path& file);

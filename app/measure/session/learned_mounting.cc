@@ -73,10 +73,10 @@ TurnReadings turn_readings(const std::vector<PoseReading>& poses, const Mounting
 void require_numbers(const TurnReadings& turn) {
   for (const PoseReading& pose : turn.poses) {
     if (!pose.mean.allFinite())
-      throw MountingUnclear(fmt::format(
-          "mounting: the readings at X = {:g} deg, Z = {:g} deg are no numbers; required: numbers. "
-          "Check the accelerometer and its driver",
-          pose.x.deg(), pose.z.deg()));
+      throw MountingUnclear(
+          fmt::format("mounting: the readings at X = {:g} deg, Z = {:g} deg are no numbers; required: "
+                      "numbers. Check the accelerometer and its driver",
+                      pose.x.deg(), pose.z.deg()));
   }
 }
 
@@ -91,11 +91,11 @@ void require_little_noise(const TurnReadings& turn) {
   for (const PoseReading& pose : turn.poses) {
     const double u = pose.u_mean.maxCoeff();
     if (!(u > kLargestNoise * response)) continue;
-    throw MountingUnclear(fmt::format(
-        "mounting: the mean of the readings at X = {:g} deg, Z = {:g} deg has a standard uncertainty of {}; "
-        "required: at most {}. Noise or vibration hides how gravity changes: check the cable and its shield, "
-        "the supply, and what shakes the bench",
-        pose.x.deg(), pose.z.deg(), turn.value(u), turn.value(kLargestNoise * response)));
+    throw MountingUnclear(
+        fmt::format("mounting: the mean of the readings at X = {:g} deg, Z = {:g} deg has a standard "
+                    "uncertainty of {}; required: at most {}. Noise or vibration hides how gravity changes: "
+                    "check the cable and its shield, the supply, and what shakes the bench",
+                    pose.x.deg(), pose.z.deg(), turn.value(u), turn.value(kLargestNoise * response)));
   }
 }
 
@@ -118,9 +118,9 @@ void require_any_turn(const TurnReadings& turn) {
                         turn.value(turn.expected.col(1).norm() * response))
           : "half and a quarter of what g_loc makes";
   throw MountingUnclear(fmt::format(
-      "mounting: turning X and Z by {:g} degrees changes the readings by {} and {}; required: {}. "
-      "The accelerometer is not fixed to this stage, its outputs are dead, or its unit or range is another "
-      "one: check the mount, both ports and response_unit",
+      "mounting: turning X and Z by {:g} degrees changes the readings by {} and {}; required: {}. The "
+      "accelerometer is not fixed to this stage, its outputs are dead, or its unit or range is another one: "
+      "check the mount, both ports and response_unit",
       kSmallTurnDeg, turn.value(turn.seen.col(0).norm()), turn.value(turn.seen.col(1).norm()), required));
 }
 
@@ -137,9 +137,8 @@ void require_living_outputs(const TurnReadings& turn) {
                          std::abs(turn.poses.front().mean[j]) < 0.5 * response;
     if (!is_constant && !is_deaf) continue;
     throw MountingUnclear(fmt::format(
-        "mounting: output {} does not follow gravity: it reads {} at all three poses{}; "
-        "required: an output that "
-        "changes with the turn of at least one axis. Check its wire, its channel and its column",
+        "mounting: output {} does not follow gravity: it reads {} at all three poses{}; required: an output "
+        "that changes with the turn of at least one axis. Check its wire, its channel and its column",
         kOutputNames[j], turn.value(turn.poses.front().mean[j]), is_constant ? ", without any noise" : ""));
   }
 }
@@ -152,11 +151,10 @@ void require_both_turns(const TurnReadings& turn) {
         "mounting: turning {} by {:g} degrees changes the readings by {}; required: about {}. {}",
         axis == 0 ? "X" : "Z", kSmallTurnDeg, turn.value(turn.seen.col(axis).norm()),
         turn.value(turn.expected.col(axis).norm() * rough_response(turn)),
-        axis == 0
-            ? "That axis is vertical, so it may be the inner one: give the controller's names of the outer "
-              "and the inner axis, in this order (--axes), and state again how far each may turn"
-            : "The item does not turn with that axis, or that axis is vertical although X was turned: check "
-              "the mount, and the controller's names of the axes (--axes)"));
+        axis == 0 ? "That axis is vertical, so it may be the inner one: give the controller's names of the "
+                    "outer and the inner axis, in this order (--axes), and state again how far each may turn"
+                  : "The item does not turn with that axis, or that axis is vertical although X was turned: "
+                    "check the mount, and the controller's names of the axes (--axes)"));
   }
 }
 
@@ -199,8 +197,7 @@ void require_response(const TurnReadings& turn, const Fit& fit) {
   if (std::abs(ratio - 1.0) <= kResponseTolerance) return;
   throw MountingUnclear(fmt::format(
       "mounting: the readings change by {} for g_loc; required: {} within {:.0f} %. {}check response_unit "
-      "and the "
-      "range of the instrument",
+      "and the range of the instrument",
       turn.value(fit.response), turn.value(nominal), 100.0 * kResponseTolerance, unit_guess(ratio)));
 }
 
@@ -246,8 +243,7 @@ void apply_known_mounting(const Matrix3d& axes, const MountingSearch& search, Le
   }
   throw MountingUnclear(
       fmt::format("mounting: stated is \"{}\"; gravity shows \"{}\" (or \"{}\" if X counts the other way). "
-                  "Turn the item as it "
-                  "is to be mounted, or state how it is",
+                  "Turn the item as it is to be mounted, or state how it is",
                   search.known, learned.mounting, other));
 }
 
@@ -275,13 +271,11 @@ LearnedMounting learn_mounting(const std::vector<PoseReading>& poses, const Moun
   learned.offset = offset_with(fit);
   learned.sign_z = is_rotation ? +1 : -1;
   if (fit.residual > kLargestResidual)
-    throw MountingUnclear(
-        fmt::format("mounting: no position of the item explains how the readings change: {:.0f} % are left; "
-                    "required: at most "
-                    "{:.0f} %. One output is dead or has another sensitivity, the stage's zeros are far from "
-                    "the horizontal, or "
-                    "the bench was shaken: look at the outputs one by one",
-                    100.0 * fit.residual, 100.0 * kLargestResidual));
+    throw MountingUnclear(fmt::format(
+        "mounting: no position of the item explains how the readings change: {:.0f} % are left; required: at "
+        "most {:.0f} %. One output is dead or has another sensitivity, the stage's zeros are far from the "
+        "horizontal, or the bench was shaken: look at the outputs one by one",
+        100.0 * fit.residual, 100.0 * kLargestResidual));
   // With the reflection of x undone the outputs are right-handed, and Z turns the other way.
   const Matrix3d axes = is_rotation ? fit.axes : Matrix3d(fit.axes * Vector3d(-1.0, 1.0, 1.0).asDiagonal());
   const NearestMounting nearest = nearest_mounting(axes);
@@ -290,18 +284,15 @@ LearnedMounting learn_mounting(const std::vector<PoseReading>& poses, const Moun
   if (nearest.tilt > Angle::degrees(kLargestLearnedTiltDeg))
     throw MountingUnclear(
         fmt::format("mounting: the item is turned by {:.0f} degrees from the nearest position along the "
-                    "platter's axes, \"{}\"; "
-                    "required: at most {:g} degrees. Mount it along the platter's axes, check that zero of "
-                    "both axes is where the "
-                    "platter is level, or write the bench file by hand with its directions as nine numbers "
-                    "(docs/bench_file.md)",
+                    "platter's axes, \"{}\"; required: at most {:g} degrees. Mount it along the platter's "
+                    "axes, check that zero of both axes is where the platter is level, or write the bench "
+                    "file by hand with its directions as nine numbers (docs/bench_file.md)",
                     nearest.tilt.deg(), nearest.words, kLargestLearnedTiltDeg));
   if (learned.offset > kLargestOffset)
     throw MountingUnclear(
         fmt::format("mounting: at zero the readings are {:.2f} g_loc away from where the turns say that "
-                    "gravity is; required: at "
-                    "most {:.2f} g_loc. An output has a large offset or is dead, or the platter is not level "
-                    "at zero of X",
+                    "gravity is; required: at most {:.2f} g_loc. An output has a large offset or is dead, or "
+                    "the platter is not level at zero of X",
                     learned.offset, kLargestOffset));
   if (!search.known.empty()) apply_known_mounting(axes, search, learned);
   return learned;

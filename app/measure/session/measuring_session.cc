@@ -15,6 +15,7 @@
 #include "app/measure/session/session_observer.h"
 #include "app/system/output_file.h"
 #include "app/system/real_clock.h"
+#include "app/system/temporary_folder.h"
 #include "app/system/version.h"
 #include "app/witness/time_stamp_authority.h"
 #include "drivers/instrument/instrument_error.h"
@@ -233,7 +234,7 @@ std::unique_ptr<RunWitness> find_witness(const MeasuringSession::Options& option
   const SessionListener listener = options.listener;
   return std::make_unique<RunWitness>(options.find_witness ? options.find_witness() : WitnessClient::find(),
                                       [listener](const std::string& text) {
-                                        if (listener) listener(NoticeEvent{"witness", text});
+                                        if (listener) listener(NoticeEvent{"witness", Message::bare(text)});
                                       });
 }
 
@@ -271,10 +272,10 @@ void MeasuringSession::notify(const SessionEvent& event) const {
   constexpr std::chrono::seconds kLongestAtEnd{12};
   const bool is_over = std::holds_alternative<FinishedEvent>(event);
   for (const std::string& why : notifier_->failures(is_over ? kLongestAtEnd : std::chrono::seconds(0)))
-    if (options_.listener) options_.listener(NoticeEvent{"notify", why});
+    if (options_.listener) options_.listener(NoticeEvent{"notify", Message::bare(why)});
 }
 
-void MeasuringSession::warn(const std::string& kind, const std::string& text) const {
+void MeasuringSession::warn(const std::string& kind, const Message& text) const {
   notify(NoticeEvent{kind, text});
 }
 
@@ -321,11 +322,12 @@ void MeasuringSession::store_notes(RunFile& file, const Clock& clock) {
   }
   for (const PersonEvent& event : person_events) {
     const std::string utc = format_utc(file.utc_now(clock));
-    file.append_event(utc, event.kind, event.text);
+    file.append_event(utc, event.kind, Message::bare(event.text));
     note_operator(file, event.operates, utc);
   }
   for (const NoteRequest& note : notes) {
-    file.append_event(format_utc(file.utc_now(clock)), "note", fmt::format("{} ({})", note.text, note.by));
+    file.append_event(format_utc(file.utc_now(clock)), "note",
+                      Message::bare(fmt::format("{} ({})", note.text, note.by)));
     notify(NoteStoredEvent{note.text, note.by});
   }
 }
@@ -335,7 +337,7 @@ void MeasuringSession::store_last_notes(RunFile& file, const Clock& clock) noexc
   try {
     store_notes(file, clock);
   } catch (const std::exception& error) {
-    warn("note", fmt::format("not stored in the event log: {}", error.what()));
+    warn("note", Message("not stored in the event log: {why}", message_of(error)));
   }
 }
 
@@ -422,10 +424,10 @@ Identities MeasuringSession::identify_or_keep_recording(const StartRequest& requ
       header.instruments.clear();
       RunFile file = RunFile::create(request.run_file, header);
       transcript_->keep_in(file);
-      file.set_state(RunState::kAbandoned, format_utc(bench.clock->utc_now()), error.what());
-      warn("recording", fmt::format("Nothing was measured; the recording is kept in {}", request.run_file));
+      file.set_state(RunState::kAbandoned, format_utc(bench.clock->utc_now()), error.message());
+      warn("recording", Message("Nothing was measured; the recording is kept in {file}", request.run_file));
     } catch (const RunFileError& lost) {
-      warn("recording", fmt::format("The recording is lost: {}", lost.what()));
+      warn("recording", Message("The recording is lost: {why}", message_of(lost)));
     }
     throw;
   }
@@ -449,6 +451,7 @@ void MeasuringSession::require_disk_space(const OpenedBench& opened, const Start
 RunFile MeasuringSession::create_file(const OpenedBench& opened, const StartRequest& request) {
   Bench& bench = opened_->bench;
   require_disk_space(opened, request);
+  (void)temporary_place();  // The analysis needs it, after hours.
   RunHeader header = make_header(opened.config, opened.identities, opened.plan, *bench.clock);
   const RegisteredStart& registered = opened.registered;
   if (!registered.who.name.empty()) header.labels["operator.name"] = registered.who.name;
@@ -457,7 +460,7 @@ RunFile MeasuringSession::create_file(const OpenedBench& opened, const StartRequ
   RunFile file = RunFile::create(request.run_file, header);
   if (transcript_) transcript_->keep_in(file);
   file.begin_session(session_start(bench));
-  file.append_event(format_utc(file.utc_now(*bench.clock)), "started", "run started");
+  file.append_event(format_utc(file.utc_now(*bench.clock)), "started", Message("run started"));
   note_operator(file, registered.who, format_utc(file.utc_now(*bench.clock)));
   drop_missing_items(file, 0);
   (void)note_environment(bench, opened.config, file, "start");
@@ -469,7 +472,7 @@ void MeasuringSession::drop_missing_items(RunFile& file, std::size_t position) c
   const std::string utc = format_utc(file.utc_now(*opened_->bench.clock));
   for (const ItemIdentity& item : opened_->identities.items) {
     if (item.missing.empty()) continue;
-    const std::string text = fmt::format("item {} takes no part: {}", item.k, item.missing);
+    const Message text("item {item} takes no part: {why}", item.k, item.missing);
     file.drop_item(item.k, position, utc, text);
     notify(NoticeEvent{std::string(kItemDroppedEvent), text, item.k});
   }
@@ -520,6 +523,7 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
     return std::move(finished->run);
   }
   require_unchanged(path);
+  const std::optional<Message> missing_log = RunFile::missing_log(path);
   RunFile file = RunFile::open_for_append(path);
   const std::vector<StoredRun> of_items = load_items_in_run(path);
   const StoredRun& stored = of_items.front();
@@ -540,12 +544,16 @@ MeasuredRun MeasuringSession::resume(const ResumeRequest& request) {
   opened.plan = stored.header.plan;
   file.begin_session(session_start(opened.bench));
   file.set_state(RunState::kRunning, format_utc(file.utc_now(*opened.bench.clock)),
-                 fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
-                             stored.header.plan.size()));
+                 Message("resumed with {measured} of {planned} angles measured", stored.measured.size(),
+                         stored.header.plan.size()));
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   have_witnessed(file);
   notifier_ = notifier_of(config);
   notify_begun(opened, path, &stored);
+  if (missing_log) {
+    file.append_event(format_utc(file.utc_now(*opened.bench.clock)), kFileEvent, *missing_log);
+    warn(std::string(kFileEvent), *missing_log);
+  }
   drop_missing_items(file, stored.measured.size());
   MeasuredRun outcome =
       measure_and_finish(std::move(file), progress_of(present_items(of_items, opened.identities)));
@@ -589,16 +597,17 @@ void MeasuringSession::close_and_keep(RunFile file, MeasuredRun& run, const std:
   const auto sha256 = file.close(announcement.before_waiting());
   if (!sha256) {
     warn("closing",
-         fmt::format("{} cannot be closed because another program keeps the file open; its result is not "
-                     "stored yet: end that program, then close the run with: abcal resume {}",
-                     path, path));
+         Message("{run} cannot be closed because another program keeps the file open; its result is not "
+                 "stored yet: end that program, then close the run with: abcal resume {name}",
+                 path, path));
     return;
   }
   run.sha256 = *sha256;
-  if (announcement.is_made()) warn("closing", fmt::format("{} is closed now: SHA-256 {}", path, *sha256));
+  if (announcement.is_made())
+    warn("closing", Message("{run} is closed now: SHA-256 {digest}", path, *sha256));
   announcement.announce();
   keep_analyses(run, options_.analyst.get(), utc);
-  if (const auto why = stamp_if_configured(run.path)) warn("time stamp", *why);
+  if (const auto why = stamp_if_configured(run.path)) warn("time stamp", Message::bare(*why));
 }
 
 /// The angles of a run that begins or continues are witnessed from now on.
@@ -613,11 +622,10 @@ RegisteredStart MeasuringSession::find_operator(const std::string& stated) const
   if (options_.laboratory.find_operator)
     return options_.laboratory.find_operator(stated, RealClock().utc_now(), options_.login);
   if (const char* location = std::getenv("ABCAL_REGISTER"); location != nullptr && *location != '\0')
-    throw std::invalid_argument(
-        fmt::format("ABCAL_REGISTER names the register {}, but this program has no link to a register and "
-                    "cannot ask who operates "
-                    "the bench; required: a program with LaboratoryLink, or no ABCAL_REGISTER",
-                    location));
+    throw std::invalid_argument(fmt::format(
+        "ABCAL_REGISTER names the register {}, but this program has no link to a register and cannot ask who "
+        "operates the bench; required: a program with LaboratoryLink, or no ABCAL_REGISTER",
+        location));
   return {{stated, {}}, {}};
 }
 
@@ -628,7 +636,7 @@ void MeasuringSession::notify_charts(const MeasuredRun& run) const {
     if (item.own_progress().dropped_at) continue;
     for (const std::string& text :
          options_.laboratory.check_run_notices({run.path, run.sha256, item}, options_.login))
-      warn("check standard", text);
+      warn("check standard", Message::bare(text));
   }
 }
 
@@ -672,7 +680,7 @@ MeasuredRun MeasuringSession::measure_and_finish(RunFile file, const RunProgress
   } catch (const std::exception& error) {
     opened.identified = false;  // The next run opens the instruments again.
     if (!all_measured) store_last_notes(file, *bench.clock);
-    ended_early.reason = error.what();
+    ended_early.reason = message_of(error);
     notify(ended_early);
     throw;
   }
@@ -698,8 +706,8 @@ MeasuredRun MeasuringSession::replay(const ReplayRequest& request) {
   if (recorded.header.plan.empty()) {
     require_items_as_stated(opened.config, opened.identities);
     throw std::runtime_error(fmt::format(
-        "the recorded run ended before its first angle ({}), but in the replay both instruments "
-        "were identified: this program interprets their answers differently from the one that recorded",
+        "the recorded run ended before its first angle ({}), but in the replay both instruments were "
+        "identified: this program interprets their answers differently from the one that recorded",
         end_of_run(recorded)));
   }
   opened.plan = recorded.header.plan;
@@ -710,7 +718,7 @@ MeasuredRun MeasuringSession::replay(const ReplayRequest& request) {
   } catch (const InstrumentError& error) {
     close_ended_replay(recorded, complete.run_file);
     if (recorded_wire_->stopped_by_operator() && recorded_wire_->has_ended()) {
-      throw RunInterrupted("the recorded run was stopped by its operator here");
+      throw RunInterrupted(Message("the recorded run was stopped by its operator here"));
     }
     throw;
   } catch (const RunInterrupted&) {
@@ -728,7 +736,7 @@ MeasuredRun MeasuringSession::replay_to_the_end(const StoredRun& recorded, const
   header.labels["replay.of"] = name;
   RunFile file = RunFile::create(request.run_file, header);
   file.begin_session(session_start(opened.bench));
-  file.append_event(header.created_utc, "started", "replay of " + name);
+  file.append_event(header.created_utc, "started", Message("replay of {run}", name));
   (void)note_environment(opened_->bench, opened.config, file, "start");
   notify_begun(opened, request.run_file, nullptr);
   MeasuredRun outcome = measure_and_finish(std::move(file), {});
@@ -752,10 +760,11 @@ void MeasuringSession::notify_comparison(const StoredRun& recorded, const std::f
 void MeasuringSession::close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path) {
   try {
     notify_comparison(recorded, path);
-    RunFile::open_for_append(path).set_state(
-        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "the replay ends here as well");
+    RunFile::open_for_append(path).set_state(RunState::kAbandoned,
+                                             format_utc(opened_->bench.clock->utc_now()),
+                                             Message("the replay ends here as well"));
   } catch (const RunFileError& error) {
-    warn("replay", error.what());
+    warn("replay", message_of(error));
   }
 }
 

@@ -67,7 +67,8 @@ class RunAnalyst {
  public:
   /// The worst verdict of the items, and its reason.
   struct Conclusion {
-    std::string verdict, reason;
+    std::string verdict;
+    Message reason;
   };
 
   RunAnalyst() = default;
@@ -188,7 +189,7 @@ class MeasuringSession {
   void notify_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);
   void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path);
   void notify(const SessionEvent& event) const;
-  void warn(const std::string& kind, const std::string& text) const;
+  void warn(const std::string& kind, const Message& text) const;
   void store_notes(RunFile& file, const Clock& clock);
   void store_last_notes(RunFile& file, const Clock& clock) noexcept;
 

@@ -1,12 +1,8 @@
 #include "app/measure/session/notifier.h"
 
 #include <fmt/format.h>
-#include <poll.h>
-#include <sys/socket.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
-#include <array>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -14,6 +10,7 @@
 #include <stdexcept>
 
 #include "app/document/json_text.h"
+#include "app/system/channel.h"
 #include "app/system/detached_process.h"
 #include "app/system/helper_program.h"
 
@@ -48,13 +45,8 @@ struct MessageOf {
   }
 };
 
-/// The answer of abcal-transfer; nullopt if it ended without one.
-std::optional<std::string> answer_on(int socket) {
-  std::array<char, 4096> answer{};
-  const ssize_t count = ::recv(socket, answer.data(), answer.size(), 0);
-  if (count <= 0) return std::nullopt;
-  return std::string(answer.data(), static_cast<std::size_t>(count));
-}
+/// Longest answer of abcal-transfer that is shown, in bytes.
+constexpr std::size_t kLongestAnswer = 4096;
 
 }  // namespace
 
@@ -63,8 +55,8 @@ std::optional<Json> message_of(const SessionEvent& event) {
 }
 
 Notifier::~Notifier() {
-  for (const ConnectedProcess& sending : sendings_) {
-    ::close(sending.socket);
+  for (ConnectedProcess& sending : sendings_) {
+    sending.socket.close();
     ::waitpid(sending.process, nullptr, WNOHANG);
   }
 }
@@ -100,32 +92,28 @@ void Notifier::start(const Json& message) {
                                         {"mail_from", config_.mail_from},
                                         {"mail_server", config_.mail_server},
                                         {"message", message}});
-  const ConnectedProcess sender = start_connected(helper_program("abcal-transfer", "[notify] needs"));
-  sendings_.push_back(sender);
-  // The socket holds the packet until the program has started and reads it.
-  if (::send(sender.socket, packet.data(), packet.size(), MSG_NOSIGNAL) < 0)
-    throw std::runtime_error(std::strerror(errno));
+  sendings_.push_back(start_connected(helper_program("abcal-transfer", "[notify] needs")));
+  // The channel holds the packet until the program has started and reads it.
+  if (!send_packet(sendings_.back().socket.number(), packet)) throw std::runtime_error(std::strerror(errno));
 }
 
 std::vector<std::string> Notifier::failures(std::chrono::milliseconds longest) {
   const auto deadline = std::chrono::steady_clock::now() + longest;
   std::vector<ConnectedProcess> open;
-  for (const ConnectedProcess& sending : sendings_) {
-    const auto left =
-        std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
-    pollfd answer{.fd = sending.socket, .events = POLLIN, .revents = 0};
-    if (::poll(&answer, 1, static_cast<int>(std::max<std::int64_t>(left.count(), 0))) == 0) {
+  for (ConnectedProcess& sending : sendings_) {
+    if (!wait_until_readable(sending.socket.number(), deadline - std::chrono::steady_clock::now())) {
       if (longest.count() == 0) {
-        open.push_back(sending);
+        open.push_back(std::move(sending));
         continue;
       }
       failures_.emplace_back(
           "a message to those in [notify] is not confirmed yet; abcal-transfer goes on with it");
-    } else if (const std::optional<std::string> words = answer_on(sending.socket); words != "sent") {
+    } else if (const auto answer = receive_packet(sending.socket.number(), kLongestAnswer);
+               !answer || answer->bytes != "sent") {
       failures_.push_back(fmt::format("a message to those in [notify] did not arrive: {}",
-                                      words.value_or("abcal-transfer has ended")));
+                                      answer ? answer->bytes : "abcal-transfer has ended"));
     }
-    ::close(sending.socket);
+    sending.socket.close();
     ::waitpid(sending.process, nullptr, WNOHANG);
   }
   sendings_ = std::move(open);

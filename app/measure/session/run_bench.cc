@@ -174,7 +174,7 @@ void identify_items(Bench& bench, const BenchConfig& config, bool ask_correction
           require_reading(*item.accelerometer, *bench.clock, config.protocol.reading_timeout_s);
       } catch (const InstrumentError& error) {
         if (!config.has_several_items()) throw;
-        item.missing = error.what();
+        item.missing = error.message();
       }
     }
     identity.missing = item.missing;
@@ -210,9 +210,9 @@ void require_serial_number(const std::string& role, const std::string& model, co
   if (required.empty() || found == required) return;
   throw InstrumentError(
       role + " " + model, Fault::kWrongIdentity,
-      fmt::format("serial number {}; required: {} (serial_number in the bench file). Connect the "
-                  "right one, or name its port by usb:VID:PID:SERIAL",
-                  found.empty() ? "not reported" : found, required));
+      Message("serial number {found}; required: {required} (serial_number in the bench file). Connect the "
+              "right one, or name its port by usb:VID:PID:SERIAL",
+              found.empty() ? Message("not reported") : Message("{found}", found), required));
 }
 
 void require_or_state_serial_number(const std::string& role, const std::string& model,
@@ -297,11 +297,10 @@ std::string stage_record_text(const BenchConfig& config, const InstrumentIdentit
   if (const std::vector<std::string> differ =
           differences(record.identity, stage_identity(stage, config.stage));
       !differ.empty())
-    throw InstrumentError(
-        "stage", Fault::kWrongIdentity,
-        fmt::format("{} is the record of another stage: {}. Learn this stage (`abcal stage learn`), "
-                    "or leave `[stage] record` out",
-                    config.stage.record, fmt::join(differ, "; ")));
+    throw InstrumentError("stage", Fault::kWrongIdentity,
+                          fmt::format("{} is the record of another stage: {}. Learn this stage (`abcal stage "
+                                      "learn`), or leave `[stage] record` out",
+                                      config.stage.record, fmt::join(differ, "; ")));
   return text;
 }
 
@@ -354,18 +353,18 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Benc
                            slowest_rate_hz(identities));
 }
 
-std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
-                                            std::string_view moment) {
+std::optional<Message> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
+                                        std::string_view moment) {
   constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors report every ten seconds
-  std::optional<std::string> warning;
+  std::optional<Message> warning;
   EnvironmentReading now;
   if (bench.environment) {
     try {
       now = bench.environment->read(bench.clock->now() + kPatience);
     } catch (const InstrumentError& error) {
       if (moment == "start") throw;
-      file.append_event(format_utc(file.utc_now(*bench.clock)), "environment not read", error.what());
-      warning = fmt::format("the environment could not be read: {}", error.what());
+      file.append_event(format_utc(file.utc_now(*bench.clock)), "environment not read", error.message());
+      warning = Message("the environment could not be read: {why}", error.message());
     }
   }
   const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
@@ -397,7 +396,8 @@ RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer
         {item.k, *item.accelerometer, stated.limits, stated.tolerances, stated.expected});
   }
   if (instruments.items.empty())
-    throw InstrumentError("items", Fault::kNotReady, "none of them is there: " + bench.items.front().missing);
+    throw InstrumentError("items", Fault::kNotReady,
+                          Message("none of them is there: {why}", bench.items.front().missing));
   return run_experiments(instruments, {measurement.plan, settings, measurement.so_far}, measurement.file,
                          observer, stop);
 }

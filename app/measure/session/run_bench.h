@@ -27,7 +27,7 @@ struct ItemIdentity {
   AccelerometerInfo accelerometer;
   /// Corrections that the accelerometer itself applies (Accelerometer::correction_registers()).
   std::map<std::string, std::string> corrections;
-  std::string missing;  ///< Why it takes no part; empty: it takes part.
+  Message missing;  ///< Why it takes no part; empty: it takes part.
 
   bool is_present() const { return missing.empty(); }
 };
@@ -100,8 +100,8 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 /// sensor that fails at the start throws InstrumentError; at the end of a run the failure is only recorded,
 /// because the run is complete without it.
 /// @return a warning: why the sensor could not be read at the end.
-std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
-                                            std::string_view moment);
+std::optional<Message> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
+                                        std::string_view moment);
 
 /// A plan to measure on a bench, and the file for it.
 struct PlanMeasurement {

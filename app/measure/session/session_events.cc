@@ -5,6 +5,8 @@
 #include <type_traits>
 #include <utility>
 
+#include "protocol/record/message_json.h"
+
 namespace abcal {
 namespace {
 
@@ -26,6 +28,10 @@ Json json_of(const Eigen::Vector3d& v) {
 
 Json json_of(int number) {
   return number;
+}
+
+Json json_of(const Message& message) {
+  return message.english();
 }
 
 template <class Value>
@@ -78,7 +84,7 @@ Json json_of(const ItemSummary& item) {
           {"model", item.model},
           {"unit", item.unit},
           {"rate_hz", json_of(item.rate_hz)},
-          {"missing", item.missing},
+          {"missing", json_of(item.missing)},
           {"measured", item.measured}};
 }
 
@@ -126,19 +132,19 @@ Json json_of(const Event& event) {
 }
 
 Json json_of(const FlagEvent& event) {
-  return {{"text", event.text}, {"item", json_of(event.item)}};
+  return {{"text", json_of(event.text)}, {"item", json_of(event.item)}};
 }
 
 Json json_of(const PortLostEvent& event) {
-  return {{"text", event.text}};
+  return {{"text", json_of(event.text)}};
 }
 
 Json json_of(const PortBackEvent& event) {
-  return {{"text", event.text}};
+  return {{"text", json_of(event.text)}};
 }
 
 Json json_of(const NoticeEvent& event) {
-  return {{"kind", event.kind}, {"text", event.text}, {"item", json_of(event.item)}};
+  return {{"kind", event.kind}, {"text", json_of(event.text)}, {"item", json_of(event.item)}};
 }
 
 Json json_of(const NoteStoredEvent& event) {
@@ -160,11 +166,30 @@ Json json_of(const FinishedEvent& event) {
   return {{"file", event.file},
           {"complete", event.complete},
           {"verdict", event.verdict},
-          {"reason", event.reason},
+          {"reason", json_of(event.reason)},
           {"measured", event.measured},
           {"planned", event.planned},
           {"measured_before", event.measured_before}};
 }
+
+/// The messages of an event, whose texts it has.
+struct MessagesOf {
+  using Messages = std::vector<Message>;
+  Messages operator()(const FinishedEvent& event) const { return {event.reason}; }
+  Messages operator()(const RunBeganEvent& event) const {
+    Messages all;
+    for (const ItemSummary& item : event.items) all.push_back(item.missing);
+    return all;
+  }
+  template <class Event>
+  requires std::is_same_v<decltype(Event::text), Message> Messages operator()(const Event& event) const {
+    return {event.text};
+  }
+  template <class Event>
+  Messages operator()(const Event&) const {
+    return {};
+  }
+};
 
 }  // namespace
 
@@ -173,6 +198,8 @@ nlohmann::json to_json_object(const SessionEvent& event) {
       [](const auto& alternative) {
         Json json = json_of(alternative);
         json["event"] = alternative.kName;
+        if (const Json messages = messages_json(MessagesOf{}(alternative)); !messages.empty())
+          json["messages"] = messages;
         return json;
       },
       event);

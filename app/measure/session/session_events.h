@@ -40,7 +40,7 @@ struct ItemSummary {
   std::string name;  ///< Serial number, or "item 3".
   std::string model, unit;
   double rate_hz = 0.0;
-  std::string missing;       ///< Why it takes no part; empty: it does.
+  Message missing;           ///< Why it takes no part; empty: it does.
   std::size_t measured = 0;  ///< Its angles before an interruption.
 };
 
@@ -77,20 +77,20 @@ struct AngleBegunEvent {
 /// An angle was measured with a flag.
 struct FlagEvent {
   static constexpr const char* kName = "flag";
-  std::string text;
+  Message text;
   std::optional<int> item{};  ///< As in NoticeEvent.
 };
 
 /// A port vanished; the run waits for it.
 struct PortLostEvent {
   static constexpr const char* kName = "port_lost";
-  std::string text;
+  Message text;
 };
 
 /// The port is back, with an instrument of the same model and serial number; the run continues.
 struct PortBackEvent {
   static constexpr const char* kName = "port_back";
-  std::string text;
+  Message text;
 };
 
 /// The stage waits before an angle because of a hold request.
@@ -110,7 +110,7 @@ struct NoticeEvent {
   static constexpr const char* kName = "notice";
   /// As in the run file's events: "repeated", "temperature", "watchdog", "disk space", "item dropped" ...
   std::string kind;
-  std::string text;
+  Message text;
   std::optional<int> item{};  ///< The number of the item that it is about; absent: the whole bench.
 };
 
@@ -141,7 +141,7 @@ struct FinishedEvent {
   std::string file;
   bool complete = false;
   std::string verdict;                    ///< Worst verdict of the items; empty if the run ended early.
-  std::string reason;                     ///< Reason for the verdict, or for the early end.
+  Message reason;                         ///< Reason for the verdict, or for the early end.
   std::size_t measured = 0, planned = 0;  ///< Angles.
   bool measured_before = false;           ///< Measured earlier; now only closed and analysed.
 };
@@ -153,7 +153,8 @@ using SessionEvent = std::variant<RunBeganEvent, PhaseEvent, AngleBegunEvent, Dw
 /// Called from the measuring thread; must return at once and must not throw.
 using SessionListener = std::function<void(const SessionEvent&)>;
 
-/// One object, whose member "event" names it. Numbers that are not finite are the texts "nan", "inf" and
+/// One object, whose member "event" names it; `messages` are those of its texts (message_json.h). Numbers
+/// that are not finite are the texts "nan", "inf" and
 /// "-inf". Text that is not UTF-8 must be replaced when the JSON is written.
 nlohmann::json to_json_object(const SessionEvent& event);
 

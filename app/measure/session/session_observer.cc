@@ -19,15 +19,15 @@ void SessionObserver::dwells(std::size_t position, std::span<const ItemDwell> dw
   notify(done);
 }
 
-void SessionObserver::notice(std::string_view kind, std::string_view text, std::optional<int> item) {
+void SessionObserver::notice(std::string_view kind, const Message& text, std::optional<int> item) {
   if (kind == kFlagEvent) {
-    notify(FlagEvent{std::string(text), item});
+    notify(FlagEvent{text, item});
   } else if (kind == kPortLostEvent) {
-    notify(PortLostEvent{std::string(text)});
+    notify(PortLostEvent{text});
   } else if (kind == kReconnectedEvent) {
-    notify(PortBackEvent{std::string(text)});
+    notify(PortBackEvent{text});
   } else {
-    notify(NoticeEvent{std::string(kind), std::string(text), item});
+    notify(NoticeEvent{std::string(kind), text, item});
   }
 }
 

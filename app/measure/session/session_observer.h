@@ -22,7 +22,7 @@ class SessionObserver final : public RunObserver {
 
   void phase(std::size_t position, RunPhase phase) override;
   void dwells(std::size_t position, std::span<const ItemDwell> dwells) override;
-  void notice(std::string_view kind, std::string_view text, std::optional<int> item) override;
+  void notice(std::string_view kind, const Message& text, std::optional<int> item) override;
   bool hold_wanted() override { return hold_wanted_ && hold_wanted_(); }
 
  private:

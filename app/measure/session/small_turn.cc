@@ -8,6 +8,7 @@
 #include <random>
 
 #include "app/measure/session/session_observer.h"
+#include "app/system/temporary_folder.h"
 #include "protocol/plan/rotation_plan.h"
 
 namespace abcal {
@@ -16,7 +17,7 @@ namespace {
 /// The file of the run, removed afterwards.
 struct TemporaryFile {
   std::filesystem::path path =
-      std::filesystem::temp_directory_path() / fmt::format("abcal-check-{:08x}.run", std::random_device{}());
+      temporary_place() / fmt::format("abcal-check-{:08x}.run", std::random_device{}());
   TemporaryFile() = default;
   TemporaryFile(const TemporaryFile&) = delete;
   TemporaryFile& operator=(const TemporaryFile&) = delete;

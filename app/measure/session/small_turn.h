@@ -33,7 +33,7 @@ Eigen::Vector3d gravity_at(Angle x, Angle z);
 
 /// The readings of one item in the small turn.
 struct TurnedItem {
-  std::string missing;   ///< Why it took no part; empty: it did.
+  Message missing;       ///< Why it took no part; empty: it did.
   std::string mounting;  ///< [item] mounting that was in force.
   std::vector<PoseReading> poses;
 };

@@ -96,8 +96,8 @@ std::vector<std::filesystem::path> TemperatureSeries::measure(const Request& req
     const StoredRun stored = RunFile::load(path);
     if (stored.header.bench_toml != write_bench(progress.request.bench))
       throw std::invalid_argument(path.string() +
-                                  ": was measured with another bench file; required: the same for all "
-                                  "points of a series, or another name with -o");
+                                  ": was measured with another bench file; required: the same for all points "
+                                  "of a series, or another name with -o");
     if (stored.state != RunState::kComplete) {
       progress.missing.push_back(n);
     } else {
@@ -185,11 +185,11 @@ std::string TemperatureSeries::soak(MeasuringSession& session, const Progress& p
     if (progress.request.bench.chamber.dry_gas || !now.humidity_percent) return;
     const double dew = dew_point_degc(now.air_degc, *now.humidity_percent);
     if (coldest >= dew + t.dew_point_margin_k) return;
-    throw InstrumentError("chamber " + chamber.info().model, Fault::kNotReady,
-                          fmt::format("{:.1f} degC is below the dew point of its air, {:.1f} degC with a "
-                                      "margin of {:g} K; required: dry "
-                                      "air or nitrogen on before the series goes on",
-                                      coldest, dew, t.dew_point_margin_k));
+    throw InstrumentError(
+        "chamber " + chamber.info().model, Fault::kNotReady,
+        fmt::format("{:.1f} degC is below the dew point of its air, {:.1f} degC with a margin of {:g} K; "
+                    "required: dry air or nitrogen on before the series goes on",
+                    coldest, dew, t.dew_point_margin_k));
   };
   guard(set_degc, chamber.read());
   chamber.set_temperature(set_degc, t.ramp_k_per_min > 0.0 ? std::optional(t.ramp_k_per_min) : std::nullopt);
@@ -206,11 +206,10 @@ std::string TemperatureSeries::soak(MeasuringSession& session, const Progress& p
     guard(item ? std::min(*item, now.air_degc) : now.air_degc, now);
     if (rule.reached()) return rule.words();
     if (since_s > t.soak_max_s)
-      throw InstrumentError(
-          "chamber " + chamber.info().model, Fault::kStalled,
-          fmt::format("{:g} degC is not reached after {}: {}; required: [temperature] soak_max_s "
-                      "long enough, or a limit that item and chamber can keep",
-                      set_degc, describe_duration(since_s), rule.words()));
+      throw InstrumentError("chamber " + chamber.info().model, Fault::kStalled,
+                            fmt::format("{:g} degC is not reached after {}: {}; required: [temperature] "
+                                        "soak_max_s long enough, or a limit that item and chamber can keep",
+                                        set_degc, describe_duration(since_s), rule.words()));
     if (since_s - told_s >= kTellEveryS && !bench.simulated_time) {
       told_s = since_s;
       say(rule.words());

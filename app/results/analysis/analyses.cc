@@ -12,10 +12,11 @@
 #include "app/results/analysis/effect_words.h"
 #include "app/results/analysis/stage_record_use.h"
 #include "protocol/estimators/checks/result_checks.h"
-#include "protocol/estimators/series/series_result.h"
+#include "protocol/estimators/measurement/measurement_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/plan/backlash.h"
+#include "protocol/quantities/output_names.h"
 #include "protocol/quantities/quantity_groups.h"
 #include "sim/sim_bench.h"
 
@@ -87,9 +88,8 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
   if (record.order_assumed && result.verdict != Verdict::kNotUsable) {
     constexpr Term kOrder{
         "the file has no time_s: the order of its rows is taken as the order of time, on which drift, "
-        "hysteresis "
-        "and slow noise depend. If it is another, the uncertainties are too small. Add time_s, or the line "
-        "\"# row_order: time\""};
+        "hysteresis and slow noise depend. If it is another, the uncertainties are too small. Add time_s, or "
+        "the line \"# row_order: time\""};
     result.diagnostics.notes.push_back(kOrder);
     result.why = in_sequence({result.why, kOrder});
   }
@@ -100,11 +100,10 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
                 times(record.continuations)));
   }
   if (record.reconnections > 0) {
-    result.diagnostics.notes.push_back(
-        Message("the port of an instrument vanished and came back {times}; each time an instrument of "
-                "the same model answered, with the same serial number where it has one, and the repeated "
-                "last angle agreed",
-                times(record.reconnections)));
+    result.diagnostics.notes.push_back(Message(
+        "the port of an instrument vanished and came back {times}; each time an instrument of the same model "
+        "answered, with the same serial number where it has one, and the repeated last angle agreed",
+        times(record.reconnections)));
   }
 }
 
@@ -123,8 +122,17 @@ Check sizes_check(const CalibrationResult& joint) {
 
 }  // namespace
 
+void require_angles(const RunRecord& record, const Estimator& estimator) {
+  if (!estimator.needs_angles || has_angles(record) || record.read_as.empty()) return;
+  throw std::invalid_argument(fmt::format(
+      "{}: the {} estimator needs angles, and the table has none; required: --estimator norm (the "
+      "default for this table), or the columns experiment, n and alpha_deg",
+      record.source, estimator.name));
+}
+
 RunAnalysis analyse_items(std::span<const RunRecord> records,
                           const std::vector<const Estimator*>& estimators) {
+  for (const Estimator* estimator : estimators) require_angles(records.front(), *estimator);
   RunAnalysis analysis;
   const bool needs_joint = std::ranges::any_of(estimators, [](const Estimator* estimator) {
     return estimator->fit == nullptr || estimator->rests_on_stated_sizes;
@@ -136,8 +144,10 @@ RunAnalysis analyse_items(std::span<const RunRecord> records,
   }
   for (std::size_t k = 0; k < records.size(); ++k) {
     const RunRecord& record = records[k];
-    const std::vector<Check> of_the_record =
-        needs_joint ? analysis.joint.items[k].checks : check_record(record);
+    // Without angles there is no motion in which to look for slips and missed steps.
+    const std::vector<Check> of_the_record = needs_joint          ? analysis.joint.items[k].checks
+                                             : has_angles(record) ? check_record(record)
+                                                                  : std::vector<Check>();
     const CalibrationResult* joint = nullptr;
     if (needs_joint) {
       add_checks(record, of_the_record, analysis.joint.items[k].result);
@@ -176,7 +186,8 @@ std::vector<const Estimator*> all_estimators(const RunRecord& record) {
   const Estimator& declared = declared_estimator(record);
   std::vector<const Estimator*> in_order{&declared};
   for (const Estimator& estimator : estimators()) {
-    if (&estimator != &declared) in_order.push_back(&estimator);
+    if (&estimator != &declared && (has_angles(record) || !estimator.needs_angles))
+      in_order.push_back(&estimator);
   }
   return in_order;
 }
@@ -186,7 +197,7 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
 }
 
 const CalibrationResult& AnalysedItem::result() const {
-  return result_of(results, declared_estimator(stored.record).name);
+  return results.size() == 1 ? results.front() : result_of(results, declared_estimator(stored.record).name);
 }
 
 AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator) {
@@ -227,7 +238,7 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const RunRec
   for (const Eigen::Vector3d& three : {intrinsic.sensitivity, intrinsic.angle_deg, line.offset})
     truths.insert(truths.end(), three.begin(), three.end());
   const std::vector<NamedQuantity> found = outputs(result);
-  for (std::size_t i = result.sensitivity_matrix ? 0 : 9; i < truths.size(); ++i)
+  for (std::size_t i = result.sensitivity_matrix ? 0 : kOfMatrix; i < truths.size(); ++i)
     add(found[i].name, truths[i], found[i].quantity);
   comparison.text +=
       fmt::format("  largest difference: {:.2f} standard uncertainties; at most {} allowed: {}\n",

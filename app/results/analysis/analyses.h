@@ -22,8 +22,13 @@ struct RunAnalysis {
   std::vector<std::vector<CalibrationResult>> results;
 };
 
+/// A table without angles is no fault of its readings: the estimator is the wrong one.
+/// @throws std::invalid_argument  an estimator that needs angles, for such a table
+void require_angles(const RunRecord& record, const Estimator& estimator);
+
 /// Several estimators on the items of one run. A record that an estimator refuses gives Verdict::kNotUsable
 /// with the reason; any other exception is a bug of the program and is not caught.
+/// @throws as require_angles()
 RunAnalysis analyse_items(std::span<const RunRecord> records,
                           const std::vector<const Estimator*>& estimators);
 
@@ -40,22 +45,39 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record);
 /// One item of a run as it was loaded, and its results.
 struct AnalysedItem {
   StoredRun stored;
-  std::vector<CalibrationResult> results;  ///< As in RunAnalysis.
+  std::vector<CalibrationResult> results;  ///< As in RunAnalysis; of a measurement the joint one.
 
-  /// The result of the estimator that was chosen before the first angle.
+  /// The result of the estimator that was chosen before the first angle; the only one where there is one.
   const CalibrationResult& result() const;
 };
 
-/// All items of a run, or the one of a CSV, analysed together.
+/// A run of a measurement of several.
+struct RunOfMeasurement {
+  std::string file;
+  std::string sha256;
+  std::vector<StoredRun> items;  ///< In the order of the first run.
+  const StoredRun& stored() const { return items.front(); }
+};
+
+/// All items of a run, the one of a CSV, or that of a measurement of several runs, analysed together.
 struct AnalysedRun {
   std::vector<AnalysedItem> items;
   TrayResult joint;  ///< As in RunAnalysis.
+  /// Runs of a measurement in the order of their beginning, whose item is stored as in the first; empty: one
+  /// run, or a CSV.
+  std::vector<RunOfMeasurement> runs;
 
+  /// The run file, or the first of a measurement.
+  /// @param file  from which this was loaded
+  std::filesystem::path first_run(const std::filesystem::path& file) const {
+    return runs.empty() ? file : std::filesystem::path(runs.front().file);
+  }
   const AnalysedItem& item(int k) const { return items.at(static_cast<std::size_t>(k) - 1); }
   AnalysedItem& item(int k) { return items.at(static_cast<std::size_t>(k) - 1); }
 };
 
 /// @param estimator  the only one to be applied; empty: all of them, the declared one first
+/// @throws as require_angles()
 AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator = {});
 
 /// Every output compared with the truth of a simulated bench, averaged over the times of the run's angles:

@@ -28,7 +28,7 @@ std::optional<Budget> budget_of_result(const RunRecord& record, const Calibratio
 
 /// An input that dominates the uncertainty of some outputs.
 struct DominatingInput {
-  std::string input;  ///< As in BudgetLine.
+  Message input;  ///< As in BudgetLine.
   std::vector<std::pair<std::string, double>>
       outputs;  ///< Symbol, and the input's share of the variance, 0..1.
 };

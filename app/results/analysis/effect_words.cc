@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <string_view>
 
-#include "protocol/estimators/series/series_result.h"
+#include "protocol/estimators/measurement/measurement_result.h"
 
 namespace abcal {
 

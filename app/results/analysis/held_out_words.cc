@@ -28,14 +28,12 @@ Message held_out_words(const HeldOutNorm& norm) {
               norm.rms, norm.largest),
       Message("with the fitted non-linearity and drift of the item by {rms:.1e} g_loc (rms), where the "
               "stated uncertainties give {expected:.1e} g_loc, which is {times:.2f} times its standard "
-              "uncertainty "
-              "(rms)",
+              "uncertainty (rms)",
               norm.rms_of_model, norm.rms_expected, norm.rms_in_u)};
   if (norm.probability < kMoreThanChance)
     sentences.push_back(
         Message("this is MORE THAN CHANCE (probability {probability:.1g}), so that the stated uncertainties "
-                "are too small or "
-                "the model does not describe this item",
+                "are too small or the model does not describe this item",
                 norm.probability));
   sentences.push_back(kLimits);
   return in_sequence(sentences);

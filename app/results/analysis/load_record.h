@@ -5,12 +5,13 @@
 #include <string>
 #include <vector>
 
+#include "protocol/record/import_table.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
 
-/// A run file or a CSV of averaged readings, distinguished by their content.
+/// A run file or a table of readings, distinguished by their content.
 struct LoadedRecord {
   RunRecord record;
   std::optional<StoredRun> run;  ///< Absent for a CSV.
@@ -26,7 +27,7 @@ struct NamedItem {
 /// @throws std::invalid_argument  no such file, and no number after the #
 NamedItem named_item(const std::string& name);
 
-/// Number of items of a run file; 1 for any other file.
+/// Number of items of a run file, or of each run of a measurement; 1 for any other file.
 std::size_t items_of_file(const std::filesystem::path& path);
 
 /// The item of a run file, or of a CSV with its one item, that a command is about.
@@ -38,16 +39,18 @@ int chosen_item(const std::filesystem::path& path, int asked);
 /// first.
 int shown_item(const StoredRun& run, int asked);
 
-/// One item of a run file or of a CSV. FILE#K as the path is its item K.
+/// One item of a run file or of a table. FILE#K as the path is its item K.
 /// @param item  from 1; 0: as the path says, or the only one
-/// @throws RunFileError, CsvError, std::runtime_error, each with the problem of the file.
-/// @throws std::invalid_argument  as chosen_item()
-LoadedRecord load_record(const std::filesystem::path& path, int item = 0);
+/// @param options  of a table
+/// @throws RunFileError, TableError, std::runtime_error, each with the problem of the file; RunFileError also
+/// for a run that was changed (require_as_stored()).
+/// @throws std::invalid_argument  as chosen_item(); options of a table for a run file
+LoadedRecord load_record(const std::filesystem::path& path, int item = 0, const TableOptions& options = {});
 
-/// The items of a run file in their order. A CSV is a run of one item of which nothing but the record is
+/// The items of a run file in their order. A table is a run of one item of which nothing but the record is
 /// known.
 /// @throws as load_record()
-std::vector<StoredRun> load_items(const std::filesystem::path& path);
+std::vector<StoredRun> load_items(const std::filesystem::path& path, const TableOptions& options = {});
 
 /// How commands name an item: "a.run#2"; the only one of a file by the file alone.
 std::string name_of_item(const std::string& file, const StoredRun& run);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -116,6 +117,15 @@ IntegrityCheck check_plan(const StoredRun& stored, const BenchConfig* bench) {
                       is_planned ? " as the bench file gives them" : "")};
 }
 
+/// Nothing for a bench file of another version, or of a test: the plan is then compared with the dwells only.
+std::optional<BenchConfig> bench_of(const StoredRun& stored) {
+  try {
+    return parse_bench(stored.header.bench_toml, "its bench file");
+  } catch (const BenchError&) {
+    return std::nullopt;
+  }
+}
+
 /// Appends all values and standard uncertainties below a node, in order.
 void gather(const nlohmann::json& node, std::vector<double>& values, std::vector<double>& uncertainties) {
   if (node.is_object() && node.contains("value") && node.contains("standard_uncertainty")) {
@@ -174,15 +184,16 @@ std::string missing_analyses(const StoredRun& stored, const std::vector<Calibrat
                              const std::set<std::string>& found) {
   const bool is_dropped = stored.own_progress().dropped_at.has_value();
   // An item that was dropped has only the result of the common fit.
-  if (is_dropped ? !found.empty() : found.contains(declared_estimator(stored.record).name)) return {};
+  const std::string& wanted =
+      results.size() == 1 ? results.front().estimator : declared_estimator(stored.record).name;
+  if (is_dropped ? !found.empty() : found.contains(wanted)) return {};
   std::string missing;
   for (const CalibrationResult& result : results)
     if (!found.contains(result.estimator)) missing += (missing.empty() ? "" : ", ") + result.estimator;
   return fmt::format(
       "no analysis is stored of {}; required: that of {}, stored when the run ended. It was removed, or "
-      "could not "
-      "be stored: `abcal analyse RUN` stores it again",
-      missing, declared_estimator(stored.record).name);
+      "could not be stored: `abcal analyse RUN` stores it again",
+      missing, wanted);
 }
 
 /// The stored analyses of the item of `stored`, computed again.
@@ -209,11 +220,10 @@ IntegrityCheck check_results(const std::filesystem::path& run, const StoredRun& 
     }
     ++same;
     if (!distance.comparable || distance.of_values > kRounding || distance.of_uncertainties > kRounding)
-      return {
-          "results", false,
-          fmt::format("the analysis {} of {} does not follow from the dwells: it differs by {:.2g} standard "
-                      "uncertainties",
-                      stored.estimator, stored.utc, distance.of_values)};
+      return {"results", false,
+              fmt::format("the analysis {} of {} does not follow from the dwells: it differs by {:.2g} "
+                          "standard uncertainties",
+                          stored.estimator, stored.utc, distance.of_values)};
   }
   if (must_have_analyses(run, stored_run)) {
     if (std::string missing = missing_analyses(stored_run, results, found); !missing.empty())
@@ -243,16 +253,39 @@ std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const St
   return checks;
 }
 
+std::vector<IntegrityCheck> check_analyses(const std::filesystem::path& path, const AnalysedRun& run) {
+  std::vector<IntegrityCheck> checks;
+  for (const AnalysedItem& item : run.items) {
+    checks.push_back(check_results(path, item.stored, item.results));
+    checks.back().what = about_item(item.stored, checks.back().what, ", ");
+  }
+  return checks;
+}
+
+std::vector<IntegrityCheck> verify_measurement(const std::filesystem::path& path, const AnalysedRun& run) {
+  std::vector<IntegrityCheck> checks;
+  for (const RunOfMeasurement& part : run.runs) {
+    std::vector<IntegrityCheck> of_run = verify_run(part.file);
+    const std::optional<BenchConfig> bench = bench_of(part.stored());
+    for (const StoredRun& item : part.items) {
+      of_run.push_back(check_plan(item, bench ? &*bench : nullptr));
+      of_run.back().what = about_item(item, of_run.back().what, ", ");
+    }
+    for (IntegrityCheck& check : of_run) {
+      check.what = fmt::format("{}, {}", std::filesystem::path(part.file).filename().string(), check.what);
+      check.item = 0;
+      checks.push_back(std::move(check));
+    }
+  }
+  std::ranges::move(check_analyses(path, run), std::back_inserter(checks));
+  return checks;
+}
+
 std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run) {
   refuse_other_file(run, kRunOnly);
   std::vector<IntegrityCheck> checks = verify_run(run);
   const AnalysedRun analysed = analyse_run(RunFile::load_items(run));
-  std::optional<BenchConfig> bench;
-  try {
-    bench = parse_bench(analysed.items.front().stored.header.bench_toml, "its bench file");
-  } catch (const BenchError&) {
-    // A bench file of another version, or of a test: the plan is compared with the dwells only.
-  }
+  const std::optional<BenchConfig> bench = bench_of(analysed.items.front().stored);
   const BenchConfig* known = bench ? &*bench : nullptr;
   for (const AnalysedItem& item : analysed.items) {
     for (IntegrityCheck& check : recompute(run, item.stored, known, item.results)) {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "app/bench_file/bench_config.h"
+#include "app/results/analysis/analyses.h"
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/verify_run.h"
@@ -27,5 +28,11 @@ std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const St
 /// All checks of a run: verify_run() and recompute(). Reads and analyses the run.
 /// @throws RunFileError if the file is no run file at all
 std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run);
+
+/// The stored analyses of a measurement, from the dwells of its runs.
+std::vector<IntegrityCheck> check_analyses(const std::filesystem::path& path, const AnalysedRun& run);
+
+/// All checks of a measurement: those of each run beyond its own analyses, and check_analyses().
+std::vector<IntegrityCheck> verify_measurement(const std::filesystem::path& path, const AnalysedRun& run);
 
 }  // namespace abcal

@@ -7,7 +7,7 @@
 #include <iterator>
 
 #include "app/bench_file/not_real.h"
-#include "app/results/analysis/analyses.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/recompute.h"
 #include "app/results/analysis/result_text.h"
@@ -121,6 +121,11 @@ void describe_bench(ReportData& data) {
     data.bench_unreadable = error.what();
   }
   if (data.bench) data.simulated = instruments_not_real(data.run->header, *data.bench);
+  for (const RunOfMeasurement& run : data.all->runs)
+    for (std::string& name : instruments_not_real(
+             run.stored().header, parse_bench(run.stored().header.bench_toml, "its bench file")))
+      if (std::ranges::find(data.simulated, name) == data.simulated.end())
+        data.simulated.push_back(std::move(name));
 }
 
 std::optional<HeldOutNorm> held_out(const RunRecord& record, const CalibrationResult& result) {
@@ -138,7 +143,7 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   data.item = item.stored.item;
   data.path = gathered.path;
   data.record = item.stored.record;
-  if (gathered.is_run_file) data.run = item.stored;
+  if (gathered.is_run_file || !gathered.all->runs.empty()) data.run = item.stored;
   data.program_version = program_version();
   data.created_utc = gathered.created_utc;
   // A report goes to the owner of its item, and says nothing about the certificates of other items.
@@ -148,16 +153,17 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   data.sha256 = gathered.sha256;
   if (data.run) describe_bench(data);
   data.results = item.results;
-  data.estimator = declared_estimator(data.record).name;
-  if (data.run) {
+  data.estimator = item.result().estimator;
+  if (gathered.is_run_file) {
     for (IntegrityCheck& check :
          recompute(data.path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
       data.integrity.push_back(std::move(check));
   }
-  if (const CalibrationResult& result = data.result();
-      result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
+  if (const CalibrationResult& result = data.result(); result.verdict != Verdict::kNotUsable &&
+                                                       result.covariance_intrinsic &&
+                                                       result.covariance_intrinsic->allFinite()) {
     data.budget = make_budget(data.record, result);
-    data.held_out_norm = held_out(data.record, result);
+    if (!data.is_of_several_runs()) data.held_out_norm = held_out(data.record, result);
     for (const Term& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(words);
   }
   return data;
@@ -171,17 +177,18 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, 
   return std::move(gather_items(named.file, now, chosen_item(named.file, named.item)).front());
 }
 
-std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now, int item) {
-  std::vector<StoredRun> loaded = load_items(path);
+std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now, int item,
+                                     const TableOptions& options) {
   if (item != 0) (void)chosen_item(path, item);
   GatheredRun gathered;
   gathered.path = path;
   gathered.created_utc = format_utc(now);
   gathered.is_run_file = RunFile::looks_like_run_file(path);
+  gathered.all = std::make_shared<const AnalysedRun>(analyse_file(path, {}, options));
   if (gathered.is_run_file) gathered.integrity = verify_run(path);
-  if (!gathered.is_run_file || loaded.front().state == RunState::kComplete)
+  if (!gathered.all->runs.empty()) gathered.integrity = verify_measurement(path, *gathered.all);
+  if (!gathered.is_run_file || gathered.all->items.front().stored.state == RunState::kComplete)
     gathered.sha256 = sha256_of_file(path);
-  gathered.all = std::make_shared<const AnalysedRun>(analyse_run(std::move(loaded)));
   std::vector<ReportData> items;
   for (const AnalysedItem& each : gathered.all->items)
     if (item == 0 || item == each.stored.item) items.push_back(gather(gathered, each));

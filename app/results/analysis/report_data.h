@@ -16,21 +16,21 @@
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_record.h"
+#include "protocol/record/table_columns.h"
 #include "protocol/record/verify_run.h"
 #include "protocol/uncertainty/budget.h"
 
 namespace abcal {
 
-/// Expanded uncertainties are U = k u with this k ...
+/// Expanded uncertainties of figures are U = k u with this k, which for a normal distribution covers
+/// kCoverageProbability.
 inline constexpr double kCoverageFactor = 2.0;
-/// ... which for a normal distribution covers approximately this probability (JCGM 100:2008, 6.2.2, G.1.3).
-inline constexpr double kCoverageProbability = 0.95;
 
 /// Everything known about one record, gathered once for the report, the certificate and the console.
 struct ReportData {
-  std::filesystem::path path;                  ///< The run file or CSV.
+  std::filesystem::path path;                  ///< The run file, CSV or measurement.
   RunRecord record;                            ///< The analysed record.
-  std::optional<StoredRun> run;                ///< Absent for a CSV.
+  std::optional<StoredRun> run;                ///< The first of a measurement; absent for a CSV.
   std::optional<BenchConfig> bench;            ///< As it was at the run. Absent for a CSV, and if unreadable.
   std::string bench_unreadable;                ///< Why the bench file of a run cannot be read; empty: it can.
   int item = 1;                                ///< Number of the item in the run.
@@ -39,7 +39,7 @@ struct ReportData {
   std::string estimator{kPublishedEstimator};  ///< Estimator of the reported result.
   /// |a| on poses that the fit did not see; absent: the reported result is not a joint one, or has no folds.
   std::optional<HeldOutNorm> held_out_norm;
-  std::optional<Budget> budget;  ///< Budget of the reported result; absent: it has no matrix.
+  std::optional<Budget> budget;  ///< Budget of the reported result; absent: it has no numbers.
   /// SHA-256 of the raw data: of the run file, or of the CSV. Absent while a run is not complete, since its
   /// file still changes.
   std::optional<std::string> sha256;
@@ -50,6 +50,8 @@ struct ReportData {
 
   /// The reported result; the others are its independent check.
   const CalibrationResult& result() const { return result_of(results, estimator); }
+  /// Whether the result is that of several runs, which are in `all`.
+  bool is_of_several_runs() const { return !all->runs.empty(); }
   /// Whether other items were measured together with this one.
   bool is_one_of_several() const { return all->items.size() > 1; }
   bool complete() const { return !run || run->state == RunState::kComplete; }
@@ -76,15 +78,17 @@ std::vector<Term> unstated_voltmeter(const ReportData& data);
 /// consistent, a bench file that this program cannot read, replayed. Empty: none.
 std::vector<std::string> cautions(const ReportData& data);
 
-/// Reads and analyses an item of a run file or of a CSV. `now` is the time of the report.
+/// Reads and analyses an item of a run file, of a table or of a measurement. `now` is the time of the report.
 /// @param path  FILE#K is item K of FILE
 /// @param item  from 1; 0: as the path says, or the only one. Its joint result is that of the common fit of
 /// all items
-/// @throws RunFileError, CsvError, std::runtime_error, each with the problem of the file;
+/// @throws RunFileError, TableError, std::runtime_error, each with the problem of the file;
 ///         std::invalid_argument: as chosen_item()
 ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item = 0);
 
 /// As gather_report(), for every item in order (0), or for one; the run is checked and analysed once.
-std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now, int item = 0);
+/// @param options  of a table
+std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now, int item = 0,
+                                     const TableOptions& options = {});
 
 }  // namespace abcal

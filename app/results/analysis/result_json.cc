@@ -4,8 +4,10 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "protocol/estimators/checks/check_meanings.h"
 #include "protocol/quantities/output_names.h"
 #include "protocol/quantities/quantity_groups.h"
+#include "protocol/record/message_json.h"
 
 namespace abcal {
 namespace {
@@ -216,6 +218,22 @@ Json line_json(const LineResult& line) {
   return {{"sensitivity_matrix", std::move(rows)}, {"offset", output_quantities(line.offset)}};
 }
 
+/// All messages whose English texts the result has.
+std::vector<Message> messages_of(const CalibrationResult& result) {
+  std::vector<Message> all{result.why};
+  const auto add = [&all](const auto& list, auto member) {
+    for (const auto& each : list) all.push_back(each.*member);
+  };
+  add(result.diagnostics.checks, &Check::words);
+  for (const Check& check : result.diagnostics.checks) all.push_back(name_of_check(check.name));
+  all.insert(all.end(), result.diagnostics.notes.begin(), result.diagnostics.notes.end());
+  all.insert(all.end(), result.unstated_effects.begin(), result.unstated_effects.end());
+  if (result.stage_record) add(result.stage_record->tests, &EffectTest::name);
+  if (result.joint) add(result.joint->effects, &EffectTest::name);
+  if (result.norm) all.push_back(result.norm->coverage_words);
+  return all;
+}
+
 }  // namespace
 
 nlohmann::ordered_json json_number(const std::optional<double>& value) {
@@ -247,11 +265,16 @@ Json result_json(const CalibrationResult& result) {
     json["face_difference"] = line_json(result.faces->difference);
   }
   if (result.stage_record) json["stage_record"] = stage_record_use_json(*result.stage_record);
-  for (const SeriesMember& member : result.series)
+  for (const SeriesMember& member : result.series) {
+    Json alone;
+    for (const Apart& each : member.alone)
+      alone[each.estimator] = {{"largest_difference_in_u", each.in_u}, {"output", each.output}};
     json["series"].push_back({{"source", member.source},
                               {"mounting", member.mounting},
                               {"small_turn_degree", member.small_turn_deg},
-                              {"verdict_alone", to_string(member.verdict)}});
+                              {"verdict_alone", to_string(member.verdict)},
+                              {"alone", std::move(alone)}});
+  }
   if (result.published) json["published"] = published_json(*result.published);
   if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {
@@ -278,6 +301,7 @@ Json result_json(const CalibrationResult& result) {
     json["sphere_coverage"] = json_number(norm.sphere_coverage);
     json["coverage_words"] = norm.coverage_words;
   }
+  json["messages"] = messages_json(messages_of(result));
   return json;
 }
 

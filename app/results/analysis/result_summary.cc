@@ -34,6 +34,7 @@ struct Warning {
   std::string words;
   std::string leads_to;
   std::vector<std::string> lines = {};  ///< Shown as they are between both.
+  bool at_first_sight = false;          ///< On the first screen as well: without it the result would mislead.
 };
 
 /// Names of a bench file may hold anything: nothing of it may move the cursor or leave the line.
@@ -113,19 +114,6 @@ std::string table(const Cells& cells, const std::array<std::string, 3>& headings
   return text;
 }
 
-std::string matrix_table(const CalibrationResult& result, std::FILE* stream) {
-  if (!result.sensitivity_matrix) return {};
-  Cells cells;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      const Quantity& q = (*result.sensitivity_matrix)[j][k];
-      cells[j][k] = {std::string(kOutputSymbols[3 * j + k]), with_expanded(q), q.unit};
-    }
-  }
-  const std::string unit = (*result.sensitivity_matrix)[0][0].unit;
-  return heading(stream, "Sensitivity matrix +- U, in " + unit) + table(cells, {"x", "y", "z"});
-}
-
 std::string intrinsic_table(const CalibrationResult& result, std::FILE* stream) {
   Cells cells;
   for (std::size_t j = 0; j < 3; ++j) {
@@ -170,7 +158,11 @@ std::string dominating(const Budget& budget, std::FILE* stream) {
   return text;
 }
 
-/// "abcal analyse FILE --full", of one item where the run has several.
+std::string full_command(const std::string& file) {
+  return fmt::format("abcal analyse {} --full", file);
+}
+
+/// Of a run with several items the command for one.
 std::string full_command(const AnalysedItem& item, const std::string& file) {
   const bool several = item.stored.header.items.size() > 1;
   return fmt::format("abcal analyse {}{} --full", file,
@@ -182,9 +174,9 @@ std::string full_command(const AnalysedItem& item, const std::string& file) {
 void add_costly_defaults(const std::vector<std::pair<DefaultCost, std::string>>& costs, bool is_least,
                          std::vector<Warning>& list) {
   Warning warning{
-      fmt::format("Sizes of effects that nobody stated are defaults. U would be smaller by{} this "
-                  "part without:",
-                  is_least ? " at least" : ""),
+      fmt::format(
+          "Sizes of effects that nobody stated are defaults. U would be smaller by{} this part without:",
+          is_least ? " at least" : ""),
       "docs/effects.md"};
   for (const auto& [cost, whose] : costs) {
     if (cost.cost > kNotableCost)
@@ -205,7 +197,9 @@ void add_incomplete(const StoredRun& stored, const std::string& file, std::vecto
   const std::string words = incomplete_words(stored);
   if (words.empty()) return;
   list.push_back(
-      {words, stored.state == RunState::kAbandoned ? "docs/troubleshooting.md" : "abcal resume " + file});
+      {.words = words,
+       .leads_to = stored.state == RunState::kAbandoned ? "docs/troubleshooting.md" : "abcal resume " + file,
+       .at_first_sight = true});
 }
 
 std::vector<Warning> warnings_of(const AnalysedItem& item, const std::optional<Budget>& budget,
@@ -216,9 +210,13 @@ std::vector<Warning> warnings_of(const AnalysedItem& item, const std::optional<B
   std::vector<Warning> list;
   add_incomplete(item.stored, file, list);
   if (result.verdict == Verdict::kNotUsable) {
-    list.push_back({"No numbers are given, because the result is not usable", "docs/troubleshooting.md"});
+    list.push_back({.words = "No numbers are given, because the result is not usable",
+                    .leads_to = "docs/troubleshooting.md",
+                    .at_first_sight = true});
   } else if (result.verdict == Verdict::kDoubtful) {
-    list.push_back({"The result is doubtful: no certificate can be issued for it", full});
+    list.push_back({.words = "The result is doubtful: no certificate can be issued for it",
+                    .leads_to = full,
+                    .at_first_sight = true});
   }
   if (budget) {
     std::vector<std::pair<DefaultCost, std::string>> costs;
@@ -238,7 +236,7 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
   add_incomplete(stored, file, list);
   if (run.joint.stage) {
     for (const Message& words : run.joint.stage->contradicted_sizes)
-      list.push_back({words, fmt::format("abcal analyse {} --full", file)});
+      list.push_back({words, full_command(file)});
   }
   std::map<std::string_view, std::pair<DefaultCost, std::size_t>> largest;  // by key, with the item from 0
   for (std::size_t k = 0; k < run.items.size(); ++k) {
@@ -264,11 +262,10 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
 std::string defaults_text(const AnalysedItem& item, const Budget& budget, std::FILE* stream) {
   const std::string text = default_costs_text(default_costs(item.stored.record.tolerances, budget));
   if (text.empty()) return text;
-  return fmt::format("{}{}",
-                     heading(stream,
-                             "Defaults that nobody stated: by how much U would be smaller "
-                             "if the size were zero"),
-                     text);
+  return fmt::format(
+      "{}{}",
+      heading(stream, "Defaults that nobody stated: by how much U would be smaller if the size were zero"),
+      text);
 }
 
 std::string warnings_text(const std::vector<Warning>& warnings, std::FILE* stream) {
@@ -282,8 +279,23 @@ std::string warnings_text(const std::vector<Warning>& warnings, std::FILE* strea
   return text;
 }
 
-std::string file_line(const std::string& file) {
-  return "File: " + printable_line(file) + "\n";
+/// The warnings without which the result would mislead; how many others there are, and the command that lists
+/// them; what to do next; the file.
+/// @param full  the command that lists them
+std::string closing_lines(std::vector<Warning> warnings, const std::string& full, const std::string& file,
+                          std::FILE* stream) {
+  const auto others = std::stable_partition(warnings.begin(), warnings.end(),
+                                            [](const Warning& warning) { return warning.at_first_sight; });
+  const auto count = warnings.end() - others;
+  const bool sound = others == warnings.begin();
+  warnings.erase(others, warnings.end());
+  std::string text = warnings_text(warnings, stream);
+  const auto line = [](const std::string& intro, const std::string& command) {
+    return fmt::format("{} {}\n", intro, printable_line(command));
+  };
+  if (count > 0) text += line(fmt::format("{} {}:", count, count == 1 ? "warning" : "warnings"), full);
+  if (sound) text += line("Next:", fmt::format("abcal report {} --html report.html", file));
+  return text + line("File:", file);
 }
 
 }  // namespace
@@ -292,13 +304,10 @@ std::string summary_text(const AnalysedItem& item, const std::string& file, std:
   const CalibrationResult& result = item.results.front();
   std::string text = verdict_block(result.verdict, result.estimator + " estimator", result.why, stream) +
                      item_line(item.stored);
-  const std::optional<Budget> budget = budget_of(item);
-  if (result.verdict != Verdict::kNotUsable) {
-    text += "\n" + matrix_table(result, stream) + intrinsic_table(result, stream) +
-            further_text(result, stream) + "  " + kU + "\n";
-    if (budget) text += dominating(*budget, stream);
-  }
-  return text + warnings_text(warnings_of(item, budget, file), stream) + file_line(file);
+  if (result.verdict != Verdict::kNotUsable)
+    text += "\n" + intrinsic_table(result, stream) + further_text(result, stream) + "  " + kU + "\n";
+  return text +
+         closing_lines(warnings_of(item, budget_of(item), file), full_command(item, file), file, stream);
 }
 
 std::string summary_text(const AnalysedRun& run, const std::string& file, std::FILE* stream) {
@@ -322,22 +331,28 @@ std::string summary_text(const AnalysedRun& run, const std::string& file, std::F
     if (result.verdict == Verdict::kDoubtful) text += block(result.why, "  ", "    ");
     text += "  -> " + full_command(item, file) + "\n";
   }
-  return text + fmt::format("\n{}\n", kU) + warnings_text(warnings_of(run, file), stream) + file_line(file);
+  return text + fmt::format("\n{}\n", kU) +
+         closing_lines(warnings_of(run, file), full_command(file), file, stream);
 }
 
-std::string full_text(const AnalysedItem& item, std::FILE* stream) {
-  const CalibrationResult& result = item.results.front();
+std::string full_text(const AnalysedItem& item, const std::string& file, std::FILE* stream) {
+  CalibrationResult result = item.results.front();
+  // These are among the warnings.
+  const std::vector<Message> listed = further_notes(result, item.stored.record.tolerances);
+  std::erase_if(result.diagnostics.notes,
+                [&](const Message& note) { return std::ranges::find(listed, note) != listed.end(); });
   std::string text = result_text(result, stream);
-  if (const std::string words = incomplete_words(item.stored); !words.empty()) text += words + ".\n";
-  if (const std::optional<Budget> budget = budget_of(item)) text += defaults_text(item, *budget, stream);
+  const std::optional<Budget> budget = budget_of(item);
+  if (budget) text += dominating(*budget, stream) + defaults_text(item, *budget, stream);
   if (item.results.size() > 1)
     text += fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, "Estimators side by side"),
                         comparison_text(item.results, result.estimator));
-  return text;
+  return text + warnings_text(warnings_of(item, budget, file), stream);
 }
 
-std::string full_text(const AnalysedRun& run, std::FILE* stream) {
-  return run.items.size() > 1 ? tray_text(run, stream) : full_text(run.items.front(), stream);
+std::string full_text(const AnalysedRun& run, const std::string& file, std::FILE* stream) {
+  if (run.items.size() == 1) return full_text(run.items.front(), file, stream);
+  return tray_text(run, stream) + warnings_text(warnings_of(run, file), stream);
 }
 
 }  // namespace abcal

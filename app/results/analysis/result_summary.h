@@ -7,10 +7,11 @@
 
 namespace abcal {
 
-/// A result on the first screen of a terminal, no line wider than 80 columns: the verdict first; the matrix,
-/// then s, phi and O of u, v, w, each with its expanded uncertainty U = k u (95.45 %); what dominates U; the
-/// warnings, each with a command or a page; the name of the file. Names of files and commands stay whole,
-/// however long, so that they can be copied. The result is the first of the item. Colours as `stream` allows.
+/// A result in at most 22 lines of a terminal of 80 columns: the verdict first; s, phi and O of u, v, w, each
+/// with its expanded uncertainty U = k u (95.45 %); the warnings without which it would mislead, the number
+/// of the others with the command that lists them; what to do next; the name of the file. Names of files and
+/// commands stay whole, however long, so that they can be copied. The result is the first of the item.
+/// Colours as `stream` allows.
 /// @param file  name of the run or CSV, as a command takes it
 std::string summary_text(const AnalysedItem& item, const std::string& file, std::FILE* stream);
 
@@ -18,8 +19,8 @@ std::string summary_text(const AnalysedItem& item, const std::string& file, std:
 std::string summary_text(const AnalysedRun& run, const std::string& file, std::FILE* stream);
 
 /// Everything else: every quantity with k, type A and type B, the stage, checks, all estimators side by side,
-/// and each default with its cost. Lines are as wide as their tables.
-std::string full_text(const AnalysedItem& item, std::FILE* stream);
-std::string full_text(const AnalysedRun& run, std::FILE* stream);
+/// what dominates U, each default with its cost, all warnings. Lines are as wide as their tables.
+std::string full_text(const AnalysedItem& item, const std::string& file, std::FILE* stream);
+std::string full_text(const AnalysedRun& run, const std::string& file, std::FILE* stream);
 
 }  // namespace abcal

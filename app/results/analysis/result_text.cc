@@ -229,6 +229,19 @@ void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
                 std::sqrt(*d.chi2 / d.degrees_of_freedom));
 }
 
+void add_runs(std::string& text, const std::vector<SeriesMember>& runs, std::FILE* stream) {
+  text += "\n" +
+          emphasised(stream, Emphasis::kHeading,
+                     "Runs (alone: how far the results of a run alone are from that of all, in u)") +
+          "\n";
+  for (const SeriesMember& run : runs) {
+    text += fmt::format("  {}: {}; {}\n", run.source, run.mounting, verdict_words(run.verdict));
+    for (const Apart& alone : run.alone)
+      text +=
+          fmt::format("    {:<6} alone: at most {:.1f}, in {}\n", alone.estimator, alone.in_u, alone.output);
+  }
+}
+
 void add_checks(std::string& text, const Diagnostics& d, std::FILE* stream) {
   if (!d.checks.empty()) text += "Checks (found, limit)\n";
   for (const Check& check : d.checks) {
@@ -257,6 +270,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
                         result.g_loc_source.empty() ? "source not stated" : result.g_loc_source);
   }
   add_outputs(text, result, stream);
+  if (!result.series.empty()) add_runs(text, result.series, stream);
   if (result.faces) text += faces_text(*result.faces);
   if (result.published) text += published_text(*result.published);
   if (result.model_equation) add_model_equation(text, *result.model_equation);

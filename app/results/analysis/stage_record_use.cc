@@ -7,6 +7,7 @@
 #include <string>
 
 #include "app/bench_file/stage_record_file.h"
+#include "app/results/analysis/estimators.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
@@ -18,13 +19,18 @@ void use_stored_stage_record(StoredRun& run) {
   run.record.stage_record = {record, months_between(record->learned_utc(), run.header.created_utc)};
 }
 
+std::string sha256_of_stage_record(const StoredRun& run) {
+  if (declared_estimator(run.record).name != "joint") return {};
+  if (run.record.stage_record.record) return run.record.stage_record.record->sha256;
+  return run.header.stage_record.empty() ? std::string() : sha256_of(run.header.stage_record);
+}
+
 void use_stage_record(std::span<StoredRun> items, const std::shared_ptr<const StageRecord>& record,
                       const std::filesystem::path& file) {
   if (record->was_taught_by(sha256_of_file(file)))
     throw std::invalid_argument(
         fmt::format("{}: this run taught the record of the stage, whose information would count twice; "
-                    "required: a record that "
-                    "other runs taught, or none",
+                    "required: a record that other runs taught, or none",
                     file.string()));
   for (StoredRun& item : items) {
     const bool is_run = !item.header.bench_toml.empty();

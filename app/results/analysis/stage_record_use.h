@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <memory>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "protocol/record/run_file.h"
@@ -14,6 +15,10 @@ namespace abcal {
 /// chosen.
 /// @throws std::invalid_argument a record in the run that cannot be read
 void use_stored_stage_record(StoredRun& run);
+
+/// SHA-256 of the record of the stage on which the result of a run, or of a measurement whose first run it
+/// is, rests; empty: on none.
+std::string sha256_of_stage_record(const StoredRun& run);
 
 /// Lets the joint estimator take the stage of these items of a run, or of the one of a CSV, from a record.
 /// @param file  the run or the CSV

@@ -11,6 +11,7 @@
 #include "app/bench_file/item_identity.h"
 #include "app/results/analysis/analyses.h"
 #include "protocol/record/run_label.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 namespace {
@@ -64,6 +65,7 @@ std::vector<std::vector<TemperaturePoint>> points_of_series(const std::vector<st
   std::vector<std::vector<TemperaturePoint>> points;
   for (std::size_t n = 0; n < paths.size(); ++n) {
     const std::filesystem::path& path = paths[n];
+    require_as_stored(path);
     std::vector<StoredRun> items = RunFile::load_items(path);
     auto place = place_in_series(items.front().header);
     if (!place)

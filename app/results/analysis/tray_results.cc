@@ -7,6 +7,7 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <stdexcept>
 
 #include "app/results/analysis/result_json.h"
@@ -202,12 +203,10 @@ std::string tray_text(const AnalysedRun& run, std::FILE* stream) {
     if (progress.dropped_at)
       text += fmt::format("  dropped before angle {}: {}\n", *progress.dropped_at + 1, progress.reason);
     if (item.result.verdict == Verdict::kNotUsable) continue;  // No numbers without a usable verdict.
-    for (const NamedQuantity& output : outputs(item.result)) {
-      const bool of_matrix = output.name.starts_with("s_") && output.name.size() == 4;
-      if (!of_matrix)
-        text += fmt::format("  {:<8} {:>30} {}\n", output.name, short_quantity(output.quantity),
-                            output.quantity.unit);
-    }
+    const std::vector<NamedQuantity> all = outputs(item.result);
+    for (const NamedQuantity& output : std::span(all).subspan(kOfMatrix))
+      text += fmt::format("  {:<8} {:>30} {}\n", output.name, short_quantity(output.quantity),
+                          output.quantity.unit);
   }
   if (run.joint.stage) add_stage_text(*run.joint.stage, stream, text);
   const auto pairs = pairs_of(run.joint);

@@ -74,10 +74,10 @@ CorrectionMatrix correction_matrix(const Eigen::Matrix3d& S, double g_loc_mps2) 
   const Eigen::PartialPivLU<Eigen::Matrix3d> solver(S);
   constexpr double kLeastCondition = 1e-12;  // Below it the elements of M have no digits left.
   if (!(solver.rcond() > kLeastCondition))
-    throw std::invalid_argument(fmt::format(
-        "the sensitivity matrix is singular (reciprocal condition {:.1e}), so that the outputs do "
-        "not determine an acceleration",
-        solver.rcond()));
+    throw std::invalid_argument(
+        fmt::format("the sensitivity matrix is singular (reciprocal condition {:.1e}), so that the outputs "
+                    "do not determine an acceleration",
+                    solver.rcond()));
   CorrectionMatrix correction;
   correction.M = g_loc_mps2 * solver.solve(Eigen::Matrix3d::Identity());
   const Eigen::Matrix3d& M = correction.M;
@@ -104,8 +104,7 @@ Eigen::Matrix3d CorrectionConstants::matrix_si() const {
   if (!unit_mps2) {
     throw std::invalid_argument(
         fmt::format("the output is in {}, this format takes accelerations; required: an output in g, mg or "
-                    "m/s2, or the formats "
-                    "json, csv, mat, c",
+                    "m/s2, or the formats json, csv, mat, c",
                     response_unit));
   }
   return M / *unit_mps2;
@@ -132,8 +131,8 @@ CorrectionConstants constants_of(const CalibrationResult& result, ExportFrame fr
         fmt::format("the result of {} is not usable: {}", result.estimator, result.why));
   if (!std::isfinite(result.g_loc.value)) {
     throw std::invalid_argument(
-        "local gravity is not known, so that accelerations are not; required: a run, or a CSV with its bench "
-        "file");
+        "local gravity is not known, so that accelerations are not; required: a run, or a table with the "
+        "line \"# g_loc.value_mps2: 9.81...\" (`abcal gravity` computes it)");
   }
   CorrectionConstants constants;
   constants.frame = frame;

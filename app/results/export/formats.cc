@@ -127,8 +127,7 @@ std::string fixed_point_text(const CorrectionConstants& c) {
       "#include <stdint.h>\n"
       "enum {{ abcal_M_shift = {}, abcal_b_shift = {} }};\n"
       "static const int32_t abcal_M_fixed[3][3] = {{\n{}}};\nstatic const int32_t abcal_b_fixed[3] = {{{}, "
-      "{}, "
-      "{}}};\n",
+      "{}, {}}};\n",
       fixed.M_shift, fixed.b_shift, matrix, fixed.b[0], fixed.b[1], fixed.b[2]);
   return text;
 }
@@ -216,8 +215,7 @@ std::string as_kalibr(const CorrectionConstants& c) {
   if (!c.noise) {
     throw std::invalid_argument(
         "the noise of single readings is not known; required: a run file with its readings, and dwells of at "
-        "least 5 "
-        "readings");
+        "least 5 readings");
   }
   static_cast<void>(c.matrix_si());  // Accelerations only.
   std::string text = heading(c, "#");

@@ -4,10 +4,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
+#include "app/bench_file/stage_record_file.h"
 #include "app/results/analysis/load_record.h"
+#include "app/system/real_clock.h"
 #include "protocol/estimators/circle/abc_estimator.h"
 
 namespace abcal {
@@ -79,7 +83,13 @@ std::optional<double> simulated_noise(const BenchConfig& config) {
 
 PlanningBench planning_bench(const BenchConfig& config, const KnownItem& item) {
   const auto [x, z] = known_axes(config);
-  return {config, {x.travel, z.travel}, {x.speed, z.speed}, item};
+  PlanningBench bench{config, {x.travel, z.travel}, {x.speed, z.speed}, item};
+  if (config.stage.record.empty()) return bench;
+  StageRecord record = read_stage_record(config.stage.record);
+  record.state.mean.setZero();
+  const double months = months_between(record.learned_utc(), format_utc(RealClock().utc_now()));
+  bench.stage_record = {std::make_shared<const StageRecord>(std::move(record)), months};
+  return bench;
 }
 
 }  // namespace abcal

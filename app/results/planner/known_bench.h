@@ -29,13 +29,14 @@ KnownItem known_item(const RunRecord& record, const CalibrationResult& result);
 
 /// The item as found in a run's file, by ABC.
 /// @param item  as load_record()
-/// @throws std::invalid_argument also if it has no result; RunFileError, CsvError
+/// @throws std::invalid_argument also if it has no result; RunFileError, TableError
 KnownItem item_of_run(const std::filesystem::path& run, int item = 0);
 
 /// Noise of a simulated accelerometer, as in KnownItem; nothing: it is not simulated, or without noise.
 std::optional<double> simulated_noise(const BenchConfig& config);
 
-/// Input of predictions for this bench.
+/// Input of predictions for this bench, with the record of the stage that it names, as old as it is now.
+/// @throws std::runtime_error, std::invalid_argument  a record that cannot be read
 PlanningBench planning_bench(const BenchConfig& config, const KnownItem& item);
 
 }  // namespace abcal

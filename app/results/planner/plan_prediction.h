@@ -2,10 +2,14 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <map>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "app/bench_file/bench_config.h"
 #include "app/results/planner/wanted.h"
+#include "protocol/estimators/joint/planned_fit.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/budget.h"
 
@@ -30,6 +34,8 @@ struct PlanningBench {
   std::array<AxisTravel, 2> travel;
   std::array<AxisSpeed, 2> speed;
   KnownItem item;
+  /// The record of the stage that a run would use, taken about a stage without errors.
+  StageRecordInUse stage_record = {};
 };
 
 /// The circles of a run and the angles of each: "3 x 72"; in two faces "6 x 36".
@@ -37,7 +43,7 @@ std::string circles_and_angles(const ProtocolConfig& protocol);
 
 /// The largest contribution to an uncertainty.
 struct LargestPart {
-  std::string name;    ///< Name in the budget: "noise of the readings", "wobble of X".
+  Message name;        ///< Name in the budget: "noise of the readings", "wobble of X".
   double share = 0.0;  ///< Share of the variance, 0 to 1.
 };
 
@@ -48,6 +54,35 @@ struct PlanPrediction {
   PlannedValues u{};                                ///< The worst output of each group.
   std::array<LargestPart, kPlannedOutputs> limits;  ///< Largest contribution to that output.
 };
+
+/// The plans with one set of circles, whatever their dwells.
+class PlannedCircles {
+ public:
+  /// @param bench  must outlive this
+  /// @param protocol  the dwells are not read
+  /// @throws PlanError if the stage cannot reach an angle
+  PlannedCircles(const PlanningBench& bench, const ProtocolConfig& protocol);
+
+  /// @param readings  [protocol] dwell_readings
+  ProtocolConfig protocol(int readings) const;
+  PlanDuration duration(int readings) const;
+  /// The standard uncertainties by Fisher information (PlannedFit), in about a millisecond; those of the ABC
+  /// estimator, and of others than the joint one, as predict_plan() has them.
+  /// @throws std::invalid_argument as predict_plan()
+  const PlannedValues& u(int readings);
+
+ private:
+  PlannedValues fisher_u(const ProtocolConfig& protocol);
+  const PlanningBench& bench_;
+  ProtocolConfig protocol_;
+  std::vector<PlannedAngle> plan_;
+  std::optional<PlannedFit> fit_;       ///< Made where it is asked for.
+  std::map<int, PlannedValues> known_;  ///< By the number of readings.
+};
+
+/// The stated uncertainty depends on the noise that the estimator finds in its readings, so predictions are
+/// means over this number of runs.
+inline constexpr int kCheckedRuns = 3;
 
 /// The uncertainties follow from the estimator itself: it analyses simulated runs of the item, as far as it
 /// is known, on an ideal stage, whose means state the uncertainty that its noise gives them, with the bench's

@@ -4,66 +4,66 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <map>
 #include <utility>
 
 namespace abcal {
+namespace {
 
-PlanSearch::PlanSearch(PlanningBench bench, std::function<void(double)> progress)
-    : bench_(std::move(bench)), progress_(std::move(progress)) {}
-
-void PlanSearch::begin_circles(std::size_t tried, std::size_t count, int predictions) {
-  part_ = static_cast<double>(tried) / static_cast<double>(count);
-  end_of_circles_ = static_cast<double>(tried + 1) / static_cast<double>(count);
-  part_of_prediction_ = 1.0 / predictions;
-}
-
-ProtocolConfig PlanSearch::protocol(Circles circles, int readings) const {
-  ProtocolConfig protocol = bench_.config.protocol;
-  protocol.steps = circles.steps;
-  protocol.step = Angle::degrees(360.0 / circles.steps);
-  protocol.faces = circles.faces;
-  protocol.dwell_readings = readings;
+ProtocolConfig with_circles(ProtocolConfig protocol, int steps, int faces) {
+  protocol.steps = steps;
+  protocol.step = Angle::degrees(360.0 / steps);
+  protocol.faces = faces;
   return protocol;
 }
 
-std::vector<PlanSearch::Circles> PlanSearch::tried() const {
-  std::vector<Circles> circles;
-  for (const int steps : kTriedSteps) circles.push_back({steps, 1});
-  if (!bench_.config.allows_two_faces()) return circles;
+/// The reasons why the plan with the longest dwells does not reach the wanted uncertainties.
+std::vector<std::string> why_out_of_reach(const PlanPrediction& longest, const WantedValues& wanted) {
+  std::vector<std::string> reasons;
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    if (!wanted[group] || longest.u[group] <= *wanted[group]) continue;
+    const auto output = static_cast<PlannedOutput>(group);
+    const LargestPart& limit = longest.limits[group];
+    reasons.push_back(fmt::format(
+        "{}: {:.2g} {}is wanted, 3 x {} angles with {} readings each would give {:.2g}, {:.3g} times as "
+        "much; {:.0f} % of its variance is {}",
+        symbol_of(output), *wanted[group], unit_of(output).empty() ? "" : std::string(unit_of(output)) + " ",
+        kTriedSteps.back(), kMostReadings, longest.u[group], longest.u[group] / *wanted[group],
+        100.0 * limit.share, limit.name));
+  }
+  return reasons;
+}
+
+}  // namespace
+
+PlanSearch::PlanSearch(PlanningBench bench) : bench_(std::move(bench)) {
+  for (const int steps : kTriedSteps) add(steps, 1);
+  if (!bench_.config.allows_two_faces()) return;
   try {
-    static_cast<void>(duration({kTriedInTwoFaces.back(), 2}, kLeastReadings));
+    for (const int steps : kTriedInTwoFaces) add(steps, 2);
   } catch (const PlanError&) {
-    return circles;  // The travel does not allow it.
+    return;  // The travel does not allow it.
   }
-  for (const int steps : kTriedInTwoFaces) circles.push_back({steps, 2});
-  return circles;
 }
 
-PlanDuration PlanSearch::duration(Circles circles, int readings) const {
-  const ProtocolConfig planned = protocol(circles, readings);
-  return estimate_duration(make_rotation_plan(planned, bench_.travel), planned, bench_.speed,
-                           bench_.config.items.front().accelerometer.settings.rate_hz);
+void PlanSearch::add(int steps, int faces) {
+  tried_.emplace_back(bench_, with_circles(bench_.config.protocol, steps, faces));
 }
 
-const PlanPrediction& PlanSearch::predicted(Circles circles, int readings) {
-  const auto [place, is_new] = predicted_.try_emplace({circles, readings});
-  if (is_new) {
-    place->second = predict_plan(bench_, protocol(circles, readings));
-    part_ = std::min(part_ + part_of_prediction_, end_of_circles_);
-    if (progress_) progress_(part_);
-  }
-  return place->second;
-}
-
-std::optional<int> PlanSearch::least_readings(Circles circles, const WantedValues& wanted) {
+std::optional<int> PlanSearch::least_readings(PlannedCircles& circles, const WantedValues& wanted,
+                                              const PlannedValues& excess_of_analysis, int most) {
   // Against the logarithm of the readings that of u is nearly a straight line, down to its floor: the
   // Illinois method (false position with halved weights, Dowell & Jarratt 1971) needs few predictions.
   const auto excess = [&](int readings) {
-    return std::log(worst_ratio(predicted(circles, readings).u, wanted));
+    PlannedValues u = circles.u(readings);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group) u[group] *= excess_of_analysis[group];
+    return std::log(worst_ratio(u, wanted));
   };
-  int too_few = kLeastReadings, enough = kMostReadings;
-  double excess_of_few = excess(too_few), excess_of_enough = excess(enough);
+  int too_few = kLeastReadings, enough = most;
+  double excess_of_enough = excess(enough);
   if (excess_of_enough > 0.0) return std::nullopt;
+  double excess_of_few = excess(too_few);
   if (excess_of_few <= 0.0) return too_few;
   int moved = 0;  // The end that moved last: -1, 1.
   // To 1 % of the dwell: the uncertainty is not known better.
@@ -85,9 +85,9 @@ std::optional<int> PlanSearch::least_readings(Circles circles, const WantedValue
   return enough;
 }
 
-std::optional<int> PlanSearch::most_readings(Circles circles, double duration_s) const {
+std::optional<int> PlanSearch::most_readings(PlannedCircles& circles, double duration_s) {
   // Settling and whole periods of the mains depend on the readings too: not solved for, but searched.
-  const auto lasts = [&](int readings) { return duration(circles, readings).total_s() <= duration_s; };
+  const auto lasts = [&](int readings) { return circles.duration(readings).total_s() <= duration_s; };
   if (!lasts(kLeastReadings)) return std::nullopt;
   int few_enough = kLeastReadings, too_many = kMostReadings + 1;
   while (too_many - few_enough > 1) {
@@ -97,49 +97,75 @@ std::optional<int> PlanSearch::most_readings(Circles circles, double duration_s)
   return few_enough;
 }
 
-FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
-  FoundPlan found;
-  const std::vector<Circles> all = tried();
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    const Circles circles = all[i];
-    begin_circles(i, all.size(), kPredictionsOfShortest);
-    // Longer than the best one even with the fewest readings: not worth a prediction.
-    if (found.plan && duration(circles, kLeastReadings).total_s() >= found.plan->duration.total_s()) continue;
-    const auto readings = least_readings(circles, wanted);
+std::optional<PlanSearch::Choice> PlanSearch::shortest_choice(const WantedValues& wanted,
+                                                              const PlannedValues& excess) {
+  // The shortest moves are tried first: most other circles then last longer even with the fewest readings.
+  std::vector<std::pair<double, PlannedCircles*>> order;
+  for (PlannedCircles& circles : tried_)
+    order.emplace_back(circles.duration(kLeastReadings).total_s(), &circles);
+  std::ranges::stable_sort(order, {}, &std::pair<double, PlannedCircles*>::first);
+  std::optional<Choice> found;
+  double shortest_s = std::numeric_limits<double>::infinity();
+  for (const auto& [least_s, circles] : order) {
+    if (least_s >= shortest_s) break;
+    const std::optional<int> most = most_readings(*circles, shortest_s);
+    const auto readings = most ? least_readings(*circles, wanted, excess, *most) : std::nullopt;
     if (!readings) continue;
-    const PlanPrediction& plan = predicted(circles, *readings);
-    if (!found.plan || plan.duration.total_s() < found.plan->duration.total_s()) found.plan = plan;
-  }
-  if (progress_) progress_(1.0);
-  if (found.plan) return found;
-  const PlanPrediction& longest = predicted({kTriedSteps.back(), 1}, kMostReadings);
-  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
-    if (!wanted[group] || longest.u[group] <= *wanted[group]) continue;
-    const auto output = static_cast<PlannedOutput>(group);
-    const LargestPart& limit = longest.limits[group];
-    found.out_of_reach.push_back(fmt::format(
-        "{}: {:.2g} {}is wanted, 3 x {} angles with {} readings each would give {:.2g}, {:.3g} times as "
-        "much; {:.0f} % of its variance is {}",
-        symbol_of(output), *wanted[group], unit_of(output).empty() ? "" : std::string(unit_of(output)) + " ",
-        kTriedSteps.back(), kMostReadings, longest.u[group], longest.u[group] / *wanted[group],
-        100.0 * limit.share, limit.name));
+    const double duration_s = circles->duration(*readings).total_s();
+    if (duration_s >= shortest_s) continue;
+    shortest_s = duration_s;
+    found = Choice{circles, *readings};
   }
   return found;
 }
 
+FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
+  FoundPlan found;
+  PlannedValues& excess = found.excess;
+  excess.fill(1.0);
+  // A dwell that is longer than when it was checked by more than this is checked again.
+  constexpr double kLonger = 1.2;
+  std::map<const PlannedCircles*, std::optional<PlanPrediction>> checks;
+  while (const std::optional<Choice> choice = shortest_choice(wanted, excess)) {
+    PlannedCircles& circles = *choice->circles;
+    const PlannedValues& searched = circles.u(choice->readings);
+    std::optional<PlanPrediction>& check = checks[choice->circles];
+    if (!check || choice->readings > kLonger * check->protocol.dwell_readings)
+      check = predict_plan(bench_, circles.protocol(choice->readings));
+    PlanPrediction plan = *check;
+    if (choice->readings != check->protocol.dwell_readings) {
+      plan.protocol = circles.protocol(choice->readings);
+      plan.duration = circles.duration(choice->readings);
+      for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+        plan.u[group] = excess[group] * searched[group];
+    }
+    found.readings_checked = check->protocol.dwell_readings;
+    if (worst_ratio(plan.u, wanted) <= 1.0) {
+      found.plan = plan;
+      return found;
+    }
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+      excess[group] = std::max(excess[group], plan.u[group] / searched[group]);
+  }
+  ProtocolConfig longest = with_circles(bench_.config.protocol, kTriedSteps.back(), 1);
+  longest.dwell_readings = kMostReadings;
+  found.out_of_reach = why_out_of_reach(predict_plan(bench_, longest), wanted);
+  return found;
+}
+
 std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const WantedValues& wanted) {
-  std::optional<PlanPrediction> best;
-  const std::vector<Circles> all = tried();
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    const Circles circles = all[i];
-    begin_circles(i, all.size(), kPredictionsOfBestWithin);
+  std::optional<ProtocolConfig> best;
+  double least_ratio = std::numeric_limits<double>::infinity();
+  for (PlannedCircles& circles : tried_) {
     const auto readings = most_readings(circles, duration_s);
     if (!readings) continue;
-    const PlanPrediction& plan = predicted(circles, *readings);
-    if (!best || worst_ratio(plan.u, wanted) < worst_ratio(best->u, wanted)) best = plan;
+    const double ratio = worst_ratio(circles.u(*readings), wanted);
+    if (best && ratio >= least_ratio) continue;
+    least_ratio = ratio;
+    best = circles.protocol(*readings);
   }
-  if (progress_) progress_(1.0);
-  return best;
+  if (!best) return std::nullopt;
+  return predict_plan(bench_, *best);
 }
 
 double worst_ratio(const PlannedValues& u, const WantedValues& wanted) {

@@ -1,13 +1,9 @@
 #pragma once
 
 #include <array>
-#include <compare>
-#include <functional>
-#include <map>
+#include <deque>
 #include <optional>
-#include <stop_token>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "app/results/planner/plan_prediction.h"
@@ -26,21 +22,25 @@ inline constexpr int kMostReadings = 1'000'000;
 /// The plan of least duration, or the reasons why none reaches the wanted uncertainties.
 struct FoundPlan {
   std::optional<PlanPrediction> plan;
+  /// The readings at each angle with which the plan was checked by predict_plan(). Where that stated more
+  /// than is wanted the plan has more of them, and its uncertainties are those of the Fisher information
+  /// times `excess`.
+  int readings_checked = 0;
+  /// Uncertainties of the whole analysis over those by Fisher information, 1 where none is known to be
+  /// larger.
+  PlannedValues excess{};
   /// Without a plan: the group, the uncertainty with the longest dwells, and its largest contribution.
   std::vector<std::string> out_of_reach;
 };
 
-/// Searches for plans of one bench. Predictions are kept, so that further questions cost little.
+/// Searches for plans of one bench by Fisher information (PlannedCircles). A plan that is found is checked by
+/// predict_plan(), whose uncertainties it has. Models are kept, so that further questions cost little.
 class PlanSearch {
  public:
-  /// @param progress  called after each prediction, and at the end, with the part of the present question
-  /// that is done, from 0 to 1; may be empty
-  explicit PlanSearch(PlanningBench bench, std::function<void(double part)> progress = {});
-
-  /// Predictions that a question usually needs.
-  static constexpr int kPredictionsOfBestWithin =
-      static_cast<int>(kTriedSteps.size() + kTriedInTwoFaces.size());
-  static constexpr int kPredictionsOfShortest = 6 * kPredictionsOfBestWithin;
+  /// @throws PlanError if the stage cannot reach the angles in one face
+  explicit PlanSearch(PlanningBench bench);
+  PlanSearch(const PlanSearch&) = delete;
+  PlanSearch& operator=(const PlanSearch&) = delete;
 
   /// The shortest plan of kTriedSteps, or of kTriedInTwoFaces where the travel allows them, and any dwell
   /// whose predicted uncertainties are at most those wanted.
@@ -51,32 +51,25 @@ class PlanSearch {
   std::optional<PlanPrediction> best_within(double duration_s, const WantedValues& wanted);
 
  private:
-  /// The angles of a plan.
-  struct Circles {
-    int steps = 72;
-    int faces = 1;
-    auto operator<=>(const Circles&) const = default;
+  /// A dwell of circles that are tried.
+  struct Choice {
+    PlannedCircles* circles;
+    int readings;
   };
-  /// Tells the progress of the next circles of a question.
-  /// @param tried  how many of `count` are done
-  /// @param predictions  usual number of predictions of the question
-  void begin_circles(std::size_t tried, std::size_t count, int predictions);
-  /// All that are tried: one face first, so that two are chosen only where the request gains by them.
-  std::vector<Circles> tried() const;
-  const PlanPrediction& predicted(Circles circles, int readings);
-  ProtocolConfig protocol(Circles circles, int readings) const;
-  PlanDuration duration(Circles circles, int readings) const;
-  /// The least number of readings with which this number of angles reaches the wanted uncertainties; absent:
-  /// not even with kMostReadings.
-  std::optional<int> least_readings(Circles circles, const WantedValues& wanted);
-  /// The largest number of readings with which this number of angles takes at most this time; absent: too
-  /// long even with kLeastReadings.
-  std::optional<int> most_readings(Circles circles, double duration_s) const;
+  void add(int steps, int faces);
+  /// The shortest by Fisher information and an excess over it, as in FoundPlan; absent: none.
+  std::optional<Choice> shortest_choice(const WantedValues& wanted, const PlannedValues& excess);
+  /// The least number of readings with which these circles reach the wanted uncertainties; absent: not even
+  /// with `most`.
+  static std::optional<int> least_readings(PlannedCircles& circles, const WantedValues& wanted,
+                                           const PlannedValues& excess, int most);
+  /// The largest number of readings with which these circles take at most this time; absent: too long even
+  /// with kLeastReadings.
+  static std::optional<int> most_readings(PlannedCircles& circles, double duration_s);
 
   PlanningBench bench_;
-  std::function<void(double)> progress_;
-  double part_ = 0.0, part_of_prediction_ = 0.0, end_of_circles_ = 0.0;
-  std::map<std::pair<Circles, int>, PlanPrediction> predicted_;
+  std::deque<PlannedCircles>
+      tried_;  ///< One face first, so that two are chosen only where the request gains by them.
 };
 
 /// Largest predicted over wanted of the groups for which something is wanted.

@@ -62,10 +62,10 @@ std::string capitalised(std::string text) {
 Section item_section(const ReportData& data) {
   FactList facts;
   if (!data.run) {
-    facts.facts = {
-        {"Record", fmt::format("{}, averaged readings without a run file: item, bench, operator and "
-                               "conditions are not part of it",
-                               data.path.filename().string())}};
+    facts.facts = {{"Record", fmt::format("{}, a table without a run file: item, bench, operator and "
+                                          "conditions are not part of it",
+                                          data.path.filename().string())}};
+    for (const std::string& line : data.record.read_as) facts.facts.emplace_back("How it was read", line);
     return {"Item", {facts}};
   }
   for (const IdentityPart& part : identity_of(data)) {
@@ -150,6 +150,53 @@ std::string sensor_temperature_text(const RunRecord& record) {
                      sum / count, count, record.dwells.size());
 }
 
+/// The runs of a measurement: how the item was mounted in each, and how far the results of each alone are
+/// from that of all.
+Section runs_section(const ReportData& data) {
+  DocumentTable runs{"Runs, in the order of their beginning",
+                     {{"run"},
+                      {"begun"},
+                      {"operator"},
+                      {"mounting"},
+                      {"angles", CellKind::kNumber},
+                      {"flagged", CellKind::kNumber},
+                      {"alone"}},
+                     {}};
+  DocumentTable alone{
+      "Results of each run alone: the largest difference from that of all runs, in combined standard "
+      "uncertainties, among s, phi and O",
+      {{"run"}},
+      {}};
+  for (const std::string& estimator : estimator_names())
+    alone.columns.push_back({estimator, CellKind::kNumber});
+  DocumentTable files{"Files", {{"run"}, {"SHA-256"}}, {}};
+  for (std::size_t k = 0; k < data.all->runs.size(); ++k) {
+    const RunOfMeasurement& file = data.all->runs[k];
+    const StoredRun& run = file.items.at(static_cast<std::size_t>(data.item) - 1);
+    const SeriesMember& member = data.result().series[k];
+    const std::string name = std::filesystem::path(file.file).filename().string();
+    const auto flagged = std::ranges::count_if(
+        run.record.dwells, [](const DwellRecord& dwell) { return dwell.flags != kFlagNone; });
+    runs.rows.push_back({name, to_the_second(run.header.created_utc),
+                         or_not_stated(describe(operators_of(run))), member.mounting,
+                         std::to_string(run.measured.size()), std::to_string(flagged),
+                         verdict_words(member.verdict)});
+    std::vector<std::string> cells{name};
+    for (const std::string& estimator : estimator_names()) {
+      const auto each = std::ranges::find(member.alone, estimator, &Apart::estimator);
+      cells.push_back(each == member.alone.end() ? kNone
+                                                 : fmt::format("{:.1f} ({})", each->in_u, each->output));
+    }
+    alone.rows.push_back(std::move(cells));
+    files.rows.push_back({name, file.sha256});
+  }
+  return {"Runs",
+          {Paragraph{"The readings of all runs are fitted together: the item and the stage are common to "
+                     "them, drifts, homing and how the item is mounted belong to each. Conditions, events "
+                     "and flagged angles of a run are in its own report (abcal report RUN)."},
+           std::move(runs), std::move(alone), std::move(files)}};
+}
+
 Section conditions_section(const ReportData& data) {
   Section section{"Conditions", {}};
   if (data.run) {
@@ -181,10 +228,8 @@ std::string tolerances_text(const RunRecord& record) {
   const Tolerances& t = record.tolerances;
   std::string text = fmt::format(
       "Type B, from the stage's tolerances taken as standard uncertainties: alignment of the axes {:g} "
-      "degree, "
-      "each rotation step {:g} degree, initial turns {:g} degree, zeros of the axes {:g} degree; drift of "
-      "the "
-      "accelerometer over the run {:g} of its sensitivity.",
+      "degree, each rotation step {:g} degree, initial turns {:g} degree, zeros of the axes {:g} degree; "
+      "drift of the accelerometer over the run {:g} of its sensitivity.",
       t.alignment.deg(), t.step.deg(), t.initial_turn.deg(), t.zero.deg(), t.drift);
   const MeasuredAlignment& a = record.measured_alignment;
   if (a.zx || a.zy || a.xz)
@@ -201,38 +246,54 @@ Section constant_rate_method(const RunRecord& record) {
     const double rate = std::round(dwell.motion->rate_deg_per_s * 10.0) / 10.0;
     if (std::ranges::find(rates, rate) == rates.end()) rates.push_back(rate);
   }
-  section.blocks.push_back(Paragraph{fmt::format(
-      "Three rotation experiments in the local field of gravity at constant rates (M. Gaitan and J. Geist, "
-      "Measurement 189, 110528, 2022): 1 about the horizontal axis X; 2 about X with Z turned by -90 "
-      "degrees; 3 "
-      "about Z with X turned by -90 degrees. In each the stage turns through the circle at {:g} degree/s "
-      "while "
-      "the item is read, and the readings within half a step about each of {} angles {:g} degrees apart are "
-      "reduced to the value at that angle.",
-      fmt::join(rates, ", "), record.steps, record.step.deg())});
   section.blocks.push_back(Paragraph{
-      "All angles are fitted together with the errors of the stage, the delay and the loss of amplitude of "
-      "the item, "
-      "and the positions of its elements; the results are those at rest. Uncertainty: type A from the "
-      "scatter of the "
-      "readings, autocorrelation taken into account; type B from the stated sizes of the effects."});
+      fmt::format("Three rotation experiments in the local field of gravity at constant rates (M. Gaitan and "
+                  "J. Geist, Measurement 189, 110528, 2022): 1 about the horizontal axis X; 2 about X with Z "
+                  "turned by -90 degrees; 3 about Z with X turned by -90 degrees. In each the stage turns "
+                  "through the circle at {:g} degree/s while the item is read, and the readings within half "
+                  "a step about each of {} angles {:g} degrees apart are reduced to the value at that angle.",
+                  fmt::join(rates, ", "), record.steps, record.step.deg())});
+  section.blocks.push_back(
+      Paragraph{"All angles are fitted together with the errors of the stage, the delay and the loss of "
+                "amplitude of the item, and the positions of its elements; the results are those at rest. "
+                "Uncertainty: type A from the scatter of the readings, autocorrelation taken into account; "
+                "type B from the stated sizes of the effects."});
+  return section;
+}
+
+/// The method of a table without angles.
+Section pose_method(const RunRecord& record) {
+  Section section{
+      "Method",
+      {Paragraph{
+           "Poses at rest in the local field of gravity, whose angles are not known. At each pose the "
+           "specific force has the magnitude of local gravity; sensitivities, the angles between the "
+           "axes and offsets follow by least squares from readings in many directions. How the item was "
+           "oriented, and so a matrix, does not (docs/theory/norm_estimator.md)."},
+       Paragraph{"Uncertainty: type A from the stated uncertainties of the poses, or where there are none "
+                 "from the scatter of the magnitude; type B from the stated sizes of the item's effects."}}};
+  std::vector<std::string> left_out;
+  for (const EffectSizeKey& key : effect_size_keys())
+    if (key.section == "item_uncertainty" && key.get(record.tolerances) == 0.0 && key.in_motion == 0.0)
+      left_out.emplace_back(key.key);
+  section.blocks.push_back(Paragraph{
+      fmt::format("Effects of the item that are not stated, and left out: {}.", fmt::join(left_out, ", "))});
   return section;
 }
 
 Section method_section(const ReportData& data) {
   const RunRecord& record = data.record;
   if (is_at_constant_rate(record)) return constant_rate_method(record);
+  if (!has_angles(record)) return pose_method(record);
   Section section{"Method", {}};
-  section.blocks.push_back(Paragraph{fmt::format(
-      "Three rotation experiments in the local field of gravity (ABC protocol: J. Geist and M. Gaitan, J. "
-      "Res. "
-      "NIST 126, 126038, 2021): 1 about the horizontal axis X; 2 about X with Z turned by -90 degrees; 3 "
-      "about Z "
-      "with X turned by -90 degrees; in each, {} angles {:g} degrees apart. At each angle the stage stands "
-      "still and the readings are averaged; a sine, a cosine and a constant are fitted to the averages of "
-      "each "
-      "output by least squares, and the sensitivity matrix and the offsets follow from the coefficients.",
-      record.steps, record.step.deg())});
+  section.blocks.push_back(Paragraph{
+      fmt::format("Three rotation experiments in the local field of gravity (ABC protocol: J. Geist and M. "
+                  "Gaitan, J. Res. NIST 126, 126038, 2021): 1 about the horizontal axis X; 2 about X with Z "
+                  "turned by -90 degrees; 3 about Z with X turned by -90 degrees; in each, {} angles {:g} "
+                  "degrees apart. At each angle the stage stands still and the readings are averaged; a "
+                  "sine, a cosine and a constant are fitted to the averages of each output by least squares, "
+                  "and the sensitivity matrix and the offsets follow from the coefficients.",
+                  record.steps, record.step.deg())});
   if (has_two_faces(record)) {
     section.blocks.push_back(Paragraph{
         "In two faces: of each experiment every second angle is measured with the axis that stands turned by "
@@ -260,10 +321,10 @@ Section method_section(const ReportData& data) {
     text += fmt::format("warm-up {:g} s.", p.warm_up_s);
     section.blocks.push_back(Paragraph{text});
   }
-  section.blocks.push_back(Paragraph{
-      "Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation taken into "
-      "account. " +
-      tolerances_text(record)});
+  section.blocks.push_back(
+      Paragraph{"Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation "
+                "taken into account. " +
+                tolerances_text(record)});
   if (const std::vector<Term> defaults = unstated_effects(record.tolerances); !defaults.empty())
     section.blocks.push_back(Paragraph{fmt::format(
         "Effects whose size is not stated, so default sizes are used: {}.", fmt::join(defaults, "; "))});
@@ -314,15 +375,13 @@ Section values_section(const ReportData& data) {
   }
   section.blocks.push_back(std::move(table));
   section.blocks.push_back(Paragraph{fmt::format(
-      "The expanded uncertainty is U = k u with {}. u: standard uncertainty, of type A (from the scatter "
-      "of "
+      "The expanded uncertainty is U = k u with {}. u: standard uncertainty, of type A (from the scatter of "
       "the readings) and type B (from what is stated of the stage and the item) combined.",
-      own_factors
-          ? fmt::format("the coverage factor k of Student's distribution with the degrees of freedom "
-                        "of each output, for a coverage probability of 95.45 %")
-          : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds to "
-                        "a coverage probability of approximately {:g} %",
-                        kCoverageFactor, 100.0 * kCoverageProbability))});
+      own_factors ? fmt::format("the coverage factor k of Student's distribution with the degrees of freedom "
+                                "of each output, for a coverage probability of 95.45 %")
+                  : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds "
+                                "to a coverage probability of approximately {:g} %",
+                                kCoverageFactor, 100.0 * kCoverageProbability))});
   if (const std::vector<Message> notes = further_notes(result, data.record.tolerances); !notes.empty())
     section.blocks.push_back(BulletList{{notes.begin(), notes.end()}});
   return section;
@@ -481,10 +540,9 @@ Section fits_section(const ReportData& data) {
   const CalibrationResult& result = result_of(data.results, kPublishedEstimator);
   const std::string& unit = result.response_unit;
   DocumentTable table{
-      fmt::format(
-          "Residuals of the fits (rms) and amplitudes of harmonics 2 to 5, which an ideal accelerometer "
-          "on an ideal stage does not have; in {}.",
-          unit),
+      fmt::format("Residuals of the fits (rms) and amplitudes of harmonics 2 to 5, which an ideal "
+                  "accelerometer on an ideal stage does not have; in {}.",
+                  unit),
       {{"experiment"}, {"output"}, {"angles", CellKind::kNumber}, {"residual rms", CellKind::kNumber}},
       {}};
   for (int order = 2; order <= 5; ++order)
@@ -542,8 +600,7 @@ DocumentTable model_equation_table(const ModelEquation& equation) {
 Section stage_section(const RunRecord& record, const CalibrationResult& result) {
   const JointResult& joint = *result.joint;
   DocumentTable table{
-      "Errors of the stage and the accelerometer that the joint estimator finds in the same "
-      "readings.",
+      "Errors of the stage and the accelerometer that the joint estimator finds in the same readings.",
       {{"quantity", CellKind::kSymbol},
        {"value", CellKind::kNumber},
        {"standard unc. u", CellKind::kNumber},
@@ -636,8 +693,7 @@ bool contributes(const Budget& budget, const BudgetLine& line, int k) {
 /// All inputs once, with the sensitivity of each of these outputs.
 DocumentTable inputs_table(const Budget& budget, const std::vector<int>& outputs) {
   DocumentTable table{
-      "Inputs x with their degrees of freedom ν, standard uncertainties u(x), and sensitivities c to "
-      "them.",
+      "Inputs x with their degrees of freedom ν, standard uncertainties u(x), and sensitivities c to them.",
       {{"input x", CellKind::kSymbol},
        {"unit", CellKind::kUnit},
        {"type", CellKind::kUnit},
@@ -701,8 +757,8 @@ Section budget_section(const ReportData& data) {
   const std::vector<int> outputs = worst_of_each_kind(budget.combined);
   Section section{
       "Uncertainty budget",
-      {Paragraph{fmt::format("Of the {} estimator, to first order (JCGM 100), for the output with "
-                             "the largest uncertainty of each kind.",
+      {Paragraph{fmt::format("Of the {} estimator, to first order (JCGM 100), for the output with the "
+                             "largest uncertainty of each kind.",
                              data.estimator)},
        inputs_table(budget, outputs), contributions_table(budget, outputs, data.record.response_unit)}};
   std::vector<std::string> in_si;
@@ -739,7 +795,7 @@ Section flags_section(const ReportData& data) {
   } else if (data.run) {
     section.blocks.push_back(Paragraph{"No angle is flagged."});
   } else {
-    section.blocks.push_back(Paragraph{"A CSV carries no flags and no events."});
+    section.blocks.push_back(Paragraph{"A table carries no flags and no events."});
   }
   if (!data.run) return section;
   DocumentTable events{"Events", {{"time (UTC)"}, {"kind"}, {"text"}}, {}};
@@ -785,6 +841,7 @@ Document calibration_document(const ReportData& data) {
   document.identification = identification(data);
   document.origin =
       fmt::format("abcal {}, report made {}", data.program_version, to_the_second(data.created_utc));
+  document.created_utc = data.created_utc;
   document.cautions = cautions(data);
   const bool usable = data.result().verdict != Verdict::kNotUsable;
   document.sections.push_back(first_page(data));
@@ -793,17 +850,21 @@ Document calibration_document(const ReportData& data) {
   document.sections.back().on_new_page = usable && data.result().sensitivity_matrix.has_value();
   if (data.run) document.sections.push_back(mounting_section(data));
   if (usable) document.sections.push_back(values_section(data));
-  if (data.run) document.sections.push_back(run_section(data));
-  document.sections.push_back(conditions_section(data));
+  const bool one_run = !data.is_of_several_runs();
+  if (!one_run) document.sections.push_back(runs_section(data));
+  if (data.run && one_run) document.sections.push_back(run_section(data));
+  if (one_run) document.sections.push_back(conditions_section(data));
   document.sections.push_back(method_section(data));
   const CalibrationResult& result = data.result();
-  if (result.verdict != Verdict::kNotUsable) {
+  if (result.verdict != Verdict::kNotUsable && one_run && has_angles(data.record)) {
     document.sections.push_back(estimators_section(data));
     // The fits of the published protocol show the stage, whichever estimator is reported.
     const CalibrationResult& published = result_of(data.results, kPublishedEstimator);
     const Section closures = closures_section(published, compared_check_poses(data.record));
     if (!closures.blocks.empty()) document.sections.push_back(closures);
     if (!published.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
+  }
+  if (result.verdict != Verdict::kNotUsable) {
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
         document.sections.push_back(stage_section(data.record, each));
@@ -815,7 +876,7 @@ Document calibration_document(const ReportData& data) {
   }
   if (!result.diagnostics.checks.empty())
     document.sections.push_back(plausibility_section(result.diagnostics));
-  document.sections.push_back(flags_section(data));
+  if (one_run) document.sections.push_back(flags_section(data));
   document.sections.push_back(origin_section(data));
   return document;
 }

@@ -85,10 +85,8 @@ std::string campaign_text(std::span<const CampaignReport> items, std::FILE* stre
   for (const CampaignReport& report : items) text += (text.empty() ? "" : "\n") + text_of(report, stream);
   text +=
       "\n  std. dev.: between the runs; within: repeatability, pooled over the runs; between: what "
-      "repeatability "
-      "does not explain\n  type A of the mean has one degree of freedom less than there are runs; type B "
-      "does not "
-      "average out: one stage\n";
+      "repeatability does not explain\n  type A of the mean has one degree of freedom less than there are "
+      "runs; type B does not average out: one stage\n";
   return text;
 }
 

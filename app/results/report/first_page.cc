@@ -108,12 +108,12 @@ void add_result(const CalibrationResult& result, Section& section) {
 
 }  // namespace
 
-Section result_section(const CalibrationResult& result, std::optional<double> nominal, bool with_figure) {
+Section result_section(const CalibrationResult& result, std::optional<double> nominal) {
   Section section;
   add_result(result, section);
   if (result.verdict == Verdict::kNotUsable) return section;
   section.blocks.push_back(Paragraph{"U: expanded uncertainty, for a coverage probability of 95.45 %."});
-  if (with_figure) section.blocks.push_back(deviation_figure(result, nominal));
+  section.blocks.push_back(deviation_figure(result, nominal));
   return section;
 }
 

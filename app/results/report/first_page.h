@@ -14,6 +14,6 @@ Section first_page(const ReportData& data);
 /// The part of it that a result alone determines: verdict, values with their expanded uncertainties, and the
 /// figure.
 /// @param nominal  as of deviation_figure()
-Section result_section(const CalibrationResult& result, std::optional<double> nominal, bool with_figure);
+Section result_section(const CalibrationResult& result, std::optional<double> nominal);
 
 }  // namespace abcal

@@ -98,10 +98,12 @@ std::string averaged_rows(const ReportData& data, bool with_item, int& left_out)
       ++left_out;
       continue;
     }
-    rows += item_column(data, with_item) + fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n,
-                                                       dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()),
-                                                       csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
-                                                       csv_number(dwell.mean[2]));
+    rows += item_column(data, with_item);
+    if (has_angles(data.record))
+      rows += fmt::format("{},{},{},{},", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
+                          csv_number(dwell.alpha.deg()));
+    rows += fmt::format("{},{},{}", csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
+                        csv_number(dwell.mean[2]));
     for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? csv_number((*dwell.u_mean)[j]) : "");
     const auto degrees = [](const std::optional<Angle>& angle) {
       return angle ? csv_number(angle->deg()) : std::string();
@@ -144,8 +146,7 @@ std::string averaged_csv(std::span<const ReportData> items) {
   if (is_at_constant_rate(items.front().record))
     throw std::invalid_argument(
         fmt::format("{}: the stage turned at constant rates, for which the columns of this CSV have no "
-                    "place; required: a run "
-                    "in steps. The run file itself is SQLite, and HDF5 has all of it",
+                    "place; required: a run in steps. The run file itself is SQLite, and HDF5 has all of it",
                     items.front().path.string()));
   const bool with_item = tells_items(items);
   std::string flags;
@@ -164,8 +165,9 @@ std::string averaged_csv(std::span<const ReportData> items) {
   return text +
          comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_*, spread_* response_unit; time_s s") +
          comment("flags", "sum of " + flags) + (with_item ? "item," : "") +
-         "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"
-         "encoder_x_deg,encoder_z_deg,spread_u,spread_v,spread_w" +
+         (has_angles(items.front().record) ? "experiment,n,closing,alpha_deg," : "") +
+         "r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,encoder_"
+         "x_deg,encoder_z_deg,spread_u,spread_v,spread_w" +
          (has_two_faces(items.front().record) ? ",face\n" : "\n") + rows;
 }
 
@@ -174,7 +176,7 @@ void write_raw_csv(std::span<const ReportData> items, const std::filesystem::pat
   const ReportData& first = items.front();
   if (!first.run) {
     throw std::invalid_argument(
-        fmt::format("{}: a CSV of averaged readings has no single readings", first.path.string()));
+        fmt::format("{}: the single readings of a table are in it", first.path.string()));
   }
   const bool with_face = has_two_faces(first.record);
   std::ofstream file(path, std::ios::binary | std::ios::trunc);

@@ -9,7 +9,7 @@
 namespace abcal {
 
 /// The averaged readings as CSV: comments "# key: value" with everything that the analysis and a reader need
-/// in addition to the numbers, then the columns of import_csv(). Numbers have enough digits to restore them
+/// in addition to the numbers, then the columns of import_table(). Numbers have enough digits to restore them
 /// exactly, so that the analysis of the copy gives the same results. Angles without a finite mean are left
 /// out, and a comment says so. Several items of one run have the number of the item in the first column,
 /// `item`; the keys of an item's comments begin with "item-K.".

@@ -53,9 +53,14 @@ Json budget_json(const ReportData& data) {
           {"notes", budget.notes}};
 }
 
-Json run_json(const ReportData& data) {
-  if (!data.run) return nullptr;
-  const StoredRun& run = *data.run;
+Json integrity_json(const std::vector<IntegrityCheck>& checks) {
+  Json integrity = Json::array();
+  for (const IntegrityCheck& check : checks)
+    integrity.push_back({{"what", check.what}, {"good", check.good}, {"found", text(check.found)}});
+  return integrity;
+}
+
+Json run_json(const StoredRun& run, const std::vector<IntegrityCheck>& checks) {
   Json instruments = Json::array();
   for (const InstrumentIdentity& i : run.header.instruments) {
     instruments.push_back({{"role", i.role},
@@ -76,15 +81,12 @@ Json run_json(const ReportData& data) {
   Json events = Json::array();
   for (const RunEvent& event : run.events)
     events.push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", text(event.text)}});
-  Json integrity = Json::array();
-  for (const IntegrityCheck& check : data.integrity)
-    integrity.push_back({{"what", check.what}, {"good", check.good}, {"found", text(check.found)}});
   return {{"state", std::string(to_string(run.state))},
           {"angles_planned", run.header.plan.size()},
           {"angles_measured", run.measured.size()},
-          {"continuations", data.record.continuations},
-          {"started_utc", text(data.started_utc())},
-          {"ended_utc", text(data.ended_utc())},
+          {"continuations", run.record.continuations},
+          {"started_utc", text(run.header.created_utc)},
+          {"ended_utc", run.events.empty() ? Json(nullptr) : text(run.events.back().utc)},
           {"program_version", text(run.header.program_version)},
           {"timing",
            {{"moving_s", run.timing.moving_s},
@@ -94,8 +96,19 @@ Json run_json(const ReportData& data) {
           {"instruments", std::move(instruments)},
           {"environment", std::move(environment)},
           {"events", std::move(events)},
-          {"integrity", std::move(integrity)},
+          {"integrity", integrity_json(checks)},
           {"bench_toml", text(run.header.bench_toml)}};
+}
+
+/// The runs of a measurement, each with its file.
+Json runs_json(const AnalysedRun& measured, int item) {
+  Json list = Json::array();
+  for (const RunOfMeasurement& run : measured.runs) {
+    Json json{{"source", run.file}, {"sha256", run.sha256}};
+    json.update(run_json(run.items.at(static_cast<std::size_t>(item) - 1), {}));
+    list.push_back(std::move(json));
+  }
+  return list;
 }
 
 Json triple_json(const Eigen::Vector3d& values) {
@@ -177,7 +190,11 @@ nlohmann::ordered_json report_json(const ReportData& data) {
         !operators.empty() && std::all_of(operators.begin(), operators.end(),
                                           [](const RunOperator& who) { return who.verified(); });
   }
-  json["run"] = run_json(data);
+  json["run"] = data.run && !data.is_of_several_runs() ? run_json(*data.run, data.integrity) : Json(nullptr);
+  if (data.is_of_several_runs()) {
+    json["runs"] = runs_json(*data.all, data.item);
+    json["integrity"] = integrity_json(data.integrity);
+  }
   Json results = Json::array();
   for (const CalibrationResult& result : data.results) results.push_back(result_json(result));
   json["results"] = std::move(results);
@@ -189,6 +206,7 @@ nlohmann::ordered_json report_json(const ReportData& data) {
                         {"drift", t.drift}};
   json["budget"] = budget_json(data);
   json["held_out_norm"] = data.held_out_norm ? held_out_json(*data.held_out_norm) : Json(nullptr);
+  if (data.is_of_several_runs()) return json;  // The rest is of one run.
   json["check_poses"] = check_poses_json(data);
   json["flagged_angles"] = flagged_json(data.record);
   return json;

@@ -159,14 +159,10 @@ Figure figure_of(const TemperatureResult& result, std::size_t group, const std::
 
 std::string shared_words() {
   return "Each point is analysed by itself. What is the same at every point (alignment, wobble and angles of "
-         "the stage, "
-         "type B) shifts all points together: it is in the uncertainty of the values at the reference, and "
-         "hardly in that "
-         "of their change with temperature. The order of each polynomial follows from likelihood ratios at "
-         "95 %. "
-         "\"Excess\" is the scatter of the points about the polynomial that their own noise does not "
-         "explain, e.g. "
-         "hysteresis; it is in the uncertainties.";
+         "the stage, type B) shifts all points together: it is in the uncertainty of the values at the "
+         "reference, and hardly in that of their change with temperature. The order of each polynomial "
+         "follows from likelihood ratios at 95 %. \"Excess\" is the scatter of the points about the "
+         "polynomial that their own noise does not explain, e.g. hysteresis; it is in the uncertainties.";
 }
 
 Json json_of(const TemperaturePolynomial& p) {

@@ -583,8 +583,7 @@ const std::vector<KnownWide>& known_wide() {
   static const std::vector<KnownWide> kList{
       {"*", "s off-diagonal",
        "the simulated stage has no error at the zeros of its axes, and that of the initial turn at -90 "
-       "degrees "
-       "(decision 5), which is less than is stated"},
+       "degrees (decision 5), which is less than is stated"},
       {"12-1000", "s diagonal", kNoise},
       {"12-1000", "intrinsic s", kNoise},
       {"24-noise-1e-4", "intrinsic s", kNoise},

@@ -36,8 +36,7 @@ std::string script_of(const KindOutcome& kind, const std::string& output) {
       script += fmt::format("{} {}\n", (static_cast<double>(bin) + 0.5) * kOfBin, counts.at(bin));
     script += fmt::format(
         "EOD\nset title {}\nplot $g{} using 1:2 with boxes lc rgb '#4477aa', {} lc rgb 'black', {} dt 2 lc "
-        "rgb "
-        "'black', {} dt 2 lc rgb 'black'\n",
+        "rgb 'black', {} dt 2 lc rgb 'black'\n",
         gnuplot_quoted(output_group_names().at(group)), group, expected, expected - half, expected + half);
   }
   return script + "unset multiplot\nunset output\n";

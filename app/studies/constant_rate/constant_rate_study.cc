@@ -54,7 +54,7 @@ const std::array<Design, 2>& designs() {
   static const std::array<Design, 2> kDesigns{
       Design{"60 up, 20 down (degree/s), 200 degree/s2, 100 Hz, encoder polled (jitter 1 ms)",
              {60.0, 20.0},
-             100.0,
+             kReadingHzAt60And20,
              1e-3,
              60.0,
              200.0,
@@ -88,13 +88,9 @@ const Scenario& every_effect() {
   return *std::ranges::find(robustness_scenarios(), "everything", &Scenario::name);
 }
 
-DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
-  const ScenarioBench drawn = draw_bench(every_effect(), seed, bench);
-  ScenarioDraw further(seed, 0xC0A5, bench);
-  DrawnBench out;
-  out.truth = drawn.truth;
-  out.sizes = with_effects_of_motion(drawn.stated);
-  sim::BenchTruth& truth = out.truth;
+void set_motion(const Design& design, sim::BenchTruth& truth, EffectSizes& sizes, ProtocolConfig& protocol,
+                ScenarioDraw& further) {
+  sizes = with_effects_of_motion(sizes);
   truth.noise = 1e-4;
   truth.span_s = design.span_s;
   truth.low_pass_hz = kLowPassHz;
@@ -102,11 +98,11 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   truth.time_stamp_jitter_s = 0.001;
   truth.encoder_latency_s = 0.005;
   truth.encoder_jitter_s = design.encoder_jitter_s;
-  truth.rate_offset = further.normals(out.sizes.rate_offset);
-  truth.position_u_mm = further.normals(out.sizes.position_mm);
-  truth.position_v_mm = further.normals(out.sizes.position_mm);
-  truth.position_w_mm = further.normals(out.sizes.position_mm);
-  truth.axes_distance_mm = out.sizes.axes_distance_mm * further.normal();
+  truth.rate_offset = further.normals(sizes.rate_offset);
+  truth.position_u_mm = further.normals(sizes.position_mm);
+  truth.position_v_mm = further.normals(sizes.position_mm);
+  truth.position_w_mm = further.normals(sizes.position_mm);
+  truth.axes_distance_mm = sizes.axes_distance_mm * further.normal();
   for (sim::AxisTruth* axis : {&truth.x, &truth.z}) {
     axis->rate_ripple = kRipple;
     axis->speed_deg_per_s = design.speed_deg_per_s;
@@ -114,7 +110,6 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
     axis->travel_min = Angle::degrees(-720.0);
     axis->travel_max = Angle::degrees(720.0);
   }
-  ProtocolConfig& protocol = out.protocol;
   protocol.motion = kMotionNames[1];
   protocol.rate_deg_per_s = design.rates;
   protocol.sweeps = static_cast<int>(design.rates.size());
@@ -124,6 +119,13 @@ DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
   protocol.check_poses = false;
   protocol.settle_auto = true;
   protocol.dwell_readings = 100;
+}
+
+DrawnBench draw(const Design& design, std::uint64_t seed, std::uint64_t bench) {
+  const ScenarioBench drawn = draw_bench(every_effect(), seed, bench);
+  ScenarioDraw further(seed, 0xC0A5, bench);
+  DrawnBench out{.truth = drawn.truth, .protocol = {}, .sizes = drawn.stated};
+  set_motion(design, out.truth, out.sizes, out.protocol, further);
   return out;
 }
 
@@ -236,6 +238,11 @@ ConstantRateOutcome summed(const Design& design, const std::vector<Trial>& trial
 
 }  // namespace
 
+void turn_at_60_and_20(sim::BenchTruth& truth, EffectSizes& sizes, ProtocolConfig& protocol,
+                       ScenarioDraw& further) {
+  set_motion(designs().front(), truth, sizes, protocol, further);
+}
+
 ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options) {
   if (options.benches < 1)
     throw std::invalid_argument("study of constant rates: at least 1 bench is required");
@@ -268,8 +275,7 @@ ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options) {
 std::string constant_rate_text(const ConstantRateStudy& study) {
   std::string text = fmt::format(
       "Constant rate: {} simulated benches of each design, seed {}. Noise of a reading 1e-4.\nu: rms of the "
-      "stated "
-      "standard uncertainty (figure of the design); z: rms of error / u; 95 %: coverage.\n\n",
+      "stated standard uncertainty (figure of the design); z: rms of error / u; 95 %: coverage.\n\n",
       study.benches, study.seed);
   for (const ConstantRateOutcome& outcome : study.outcomes) {
     text += fmt::format("{}; at most {:.1f} s{}\n", outcome.words, outcome.longest_s,

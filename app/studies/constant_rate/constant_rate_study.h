@@ -7,7 +7,10 @@
 #include <string>
 #include <vector>
 
+#include "app/studies/robustness/scenario.h"
 #include "app/studies/trials/error_group.h"
+#include "protocol/plan/run_config.h"
+#include "sim/bench_truth.h"
 
 namespace abcal {
 
@@ -49,6 +52,13 @@ struct ConstantRateStudy {
 /// 1e-4 a reading. The same for any number of threads.
 /// @throws std::invalid_argument no benches, no threads
 ConstantRateStudy run_constant_rate_study(const ConstantRateOptions& options);
+
+/// Lets a bench turn at 60 and 20 degrees/s, read at kReadingHzAt60And20, as in the first design of the
+/// study: its truth, the sizes that it states and its plan.
+/// @param further  draws the item's effects of motion
+void turn_at_60_and_20(sim::BenchTruth& truth, EffectSizes& sizes, ProtocolConfig& protocol,
+                       ScenarioDraw& further);
+inline constexpr double kReadingHzAt60And20 = 100.0;
 
 /// The study for people.
 std::string constant_rate_text(const ConstantRateStudy& study);

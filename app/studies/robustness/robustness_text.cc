@@ -27,8 +27,7 @@ nlohmann::ordered_json number_or_null(double value) {
 std::string robustness_text(const RobustnessStudy& study) {
   std::string text = fmt::format(
       "Robustness: {} simulated benches of each scenario, seed {}. Of runs called usable: coverage of the 95 "
-      "% "
-      "intervals, rms error / u.\n\n{:<22} {:<7} {:<6} {:>6}",
+      "% intervals, rms error / u.\n\n{:<22} {:<7} {:<6} {:>6}",
       study.benches, study.seed, "scenario", "kind", "", "usable");
   for (const std::string& name : output_group_names()) text += fmt::format("  {:>14}", name);
   text += "\n";
@@ -51,8 +50,7 @@ std::string robustness_text(const RobustnessStudy& study) {
   }
   text += fmt::format(
       "\n{} of {} groups below {:.2f} (nominal 0.95); {} of {} verdicts wrong: within the stated sizes at "
-      "least "
-      "{:.2f} are to be usable, far beyond them at most {:.2f}\n",
+      "least {:.2f} are to be usable, far beyond them at most {:.2f}\n",
       short_groups, groups, kLeastCoverage, short_verdicts, study.outcomes.size(), kLeastUsable,
       kMostUsableWhenWrong);
   for (const ScenarioOutcome& o : study.outcomes) {

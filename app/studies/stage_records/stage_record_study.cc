@@ -9,10 +9,12 @@
 #include <stdexcept>
 #include <utility>
 
+#include "app/studies/constant_rate/constant_rate_study.h"
 #include "app/studies/robustness/robustness_study.h"
+#include "app/studies/trials/measured_run.h"
 #include "app/studies/trials/parallel_trials.h"
-#include "protocol/estimators/joint/collect_readings.h"
-#include "protocol/estimators/series/stage_learning.h"
+#include "protocol/estimators/joint/item_fit.h"
+#include "protocol/estimators/measurement/stage_learning.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/mountings.h"
 #include "sim/drawn_stage.h"
@@ -37,7 +39,25 @@ constexpr std::array<Design, kStageExperiments> kDesigns{
            "new item, 2 mountings x two faces 6 x 18, with the record",
            {2.6e-6, 2.0e-6, 8e-6, 1.6e-4}},
     Design{StageExperiment::kYearLater, "new item, 3 x 24, a year after the learning", {}},
+    Design{StageExperiment::kTwoMountingsAtRate,
+           "2 mountings at 60 and 20 degrees/s, 90 s each",
+           {5.0e-6, 1.0e-5, 0.0, 2.5e-4}},
+    Design{StageExperiment::kTwoThatDiffer,
+           "2 mountings x two faces 6 x 18, item that changes from run to run",
+           {}},
+    Design{StageExperiment::kAtRateWithRecord,
+           "new item, 60 and 20 degrees/s, 90 s, with the record",
+           {6.0e-6, 1.0e-5, 1.2e-5, 4.0e-4}},
+    Design{StageExperiment::kTrayAtRateWithRecord,
+           "tray of 8 new items, 60 and 20 degrees/s, with the record",
+           {6.0e-6, 1.0e-5, 1.2e-5, 4.0e-4}},
 };
+
+bool is_at_rate(StageExperiment experiment) {
+  return experiment == StageExperiment::kTwoMountingsAtRate ||
+         experiment == StageExperiment::kAtRateWithRecord ||
+         experiment == StageExperiment::kTrayAtRateWithRecord;
+}
 
 /// A run with its truth, as the fit of a series takes it.
 struct RunOfSeries {
@@ -56,7 +76,7 @@ bool is_of_frame(const AxisAngle& visit) {
 class Trial {
  public:
   Trial(std::uint64_t seed, std::uint64_t stage, bool repeats)
-      : draw_(seed, 0x57A6E0000U + (repeats ? 1U : 0U), stage) {
+      : stage_(2 * stage + (repeats ? 1U : 0U)), draw_(seed, 0x57A6E0000U + (repeats ? 1U : 0U), stage) {
     const std::vector<Scenario>& all = robustness_scenarios();
     everything_ = &*std::ranges::find(all, "everything", &Scenario::name);
     bench_ = draw_bench(*everything_, seed, stage + (repeats ? 1'000'000'000U : 0U));
@@ -80,6 +100,9 @@ class Trial {
     bench_.truth.x.knock_sd = bench_.truth.z.knock_sd = Angle::degrees(0.0025);
   }
 
+  /// The item changes from run to run, by what is stated.
+  void change_from_run_to_run() { bench_.stated.drift_between_runs = 1e-5; }
+
   /// Another item takes the place of that before.
   void new_item() {
     ScenarioBench other = bench_;
@@ -95,41 +118,83 @@ class Trial {
 
   /// @param turn  how the item is mounted, as mounting_turns() has it
   RunOfSeries measure(int faces, int steps, const Eigen::Matrix3d& turn) {
-    constexpr double kMounting = 0.5 * std::numbers::pi / 180.0;
     ScenarioBench b = bench_;
-    const EffectSizes& sizes = b.stated;
     b.faces = faces;
     b.steps = steps;
     b.truth.stands_in_second_face = faces == 2;
-    b.truth.run = ++run_;
     b.truth.span_s = (3 * (steps + faces) - 1) * b.angle_period_s;
-    const Eigen::Vector3d small =
-        runs_of_item_++ > 0 ? draw_.normals(kMounting) : Eigen::Vector3d(Eigen::Vector3d::Zero());
-    b.truth.sensitivity_matrix = bench_.truth.sensitivity_matrix * sim::turned_by(small) * turn.transpose();
-    b.truth.drift_1 = draw_.normals(sizes.drift);
-    b.truth.drift_2 = draw_.normals(sizes.drift);
-    b.truth.drift_3 = draw_.normals(sizes.drift);
-    b.truth.sensitivity_drift = draw_.normals(sizes.sensitivity_drift);
+    mount(turn, b);
+    return evaluated(simulate_run(b).record, b.truth);
+  }
 
-    const SimulatedRun run = simulate_run(b);
-    const CollectedReadings data = collect_readings(run.record);
-    EffectFitOptions options{
-        .sizes = run.record.tolerances, .measured_alignment = {}, .noise_process = false};
-    options.unit = unit_;
-    const EffectSolution solution = solve_effects(data.readings, options);
-    RunOfSeries out{.information = run_information(data, solution), .truth = {}};
-    unit_ = out.information.unit;
-    set_truth(b, data, out);
+  /// At 60 and 20 degrees/s: this item, and new ones beside it.
+  std::vector<RunOfSeries> measure_at_rate(const Eigen::Matrix3d& turn, int items = 1) {
+    StudyBench bench;
+    std::vector<sim::BenchTruth> truths;
+    const std::uint64_t run = run_;
+    for (int k = 0; k < items; ++k) {
+      if (k > 0) new_item();
+      run_ = run;
+      ScenarioBench b = bench_;
+      turn_at_60_and_20(b.truth, b.stated, bench.protocol, draw_);
+      mount(turn, b);
+      if (k == 0) bench.stage = b.truth;
+      // The errors of the stage in motion are those that were drawn with the first item.
+      static_cast<sim::StageTruth&>(b.truth) = bench.stage;
+      bench.items.push_back({.truth = b.truth, .sizes = b.stated, .reading_hz = kReadingHzAt60And20});
+      truths.push_back(b.truth);
+    }
+    constexpr std::uint64_t kMostRuns = 1000;
+    const MeasuredRecords measured = measure_bench(bench, stage_ * kMostRuns + run_);
+    std::vector<RunOfSeries> out;
+    for (std::size_t k = 0; k < truths.size(); ++k) {
+      if (items > 1) unit_.reset();
+      out.push_back(evaluated(measured.items[k], truths[k]));
+    }
     return out;
   }
 
  private:
-  static void set_truth(const ScenarioBench& b, const CollectedReadings& data, RunOfSeries& out) {
-    sim::BenchTruth still = b.truth;
+  /// The item as it stands in the next run, with the drifts of that run.
+  void mount(const Eigen::Matrix3d& turn, ScenarioBench& b) {
+    constexpr double kMounting = 0.5 * std::numbers::pi / 180.0;
+    const EffectSizes& sizes = b.stated;
+    b.truth.run = ++run_;
+    const Eigen::Vector3d small =
+        runs_of_item_++ > 0 ? draw_.normals(kMounting) : Eigen::Vector3d(Eigen::Vector3d::Zero());
+    b.truth.sensitivity_matrix = bench_.truth.sensitivity_matrix * sim::turned_by(small) * turn.transpose();
+    changed_ = {Eigen::Matrix3d::Zero(), Eigen::Vector3d::Zero()};
+    if (sizes.drift_between_runs > 0.0) {
+      changed_.sensitivity_matrix << draw_.normals(sizes.drift_between_runs),
+          draw_.normals(sizes.drift_between_runs), draw_.normals(sizes.drift_between_runs);
+      changed_.offset = draw_.normals(sizes.drift_between_runs);
+      b.truth.sensitivity_matrix += changed_.sensitivity_matrix;
+      b.truth.offset += changed_.offset;
+    }
+    b.truth.drift_1 = draw_.normals(sizes.drift);
+    b.truth.drift_2 = draw_.normals(sizes.drift);
+    b.truth.drift_3 = draw_.normals(sizes.drift);
+    b.truth.sensitivity_drift = draw_.normals(sizes.sensitivity_drift);
+  }
+
+  RunOfSeries evaluated(const RunRecord& record, const sim::BenchTruth& truth) {
+    const ItemFit fit = fit_item(record, {.noise_process = false, .measured_alignment = {}, .unit = unit_});
+    if (!fit.solution) throw std::runtime_error("study of stage records: a run has no result: " + fit.why);
+    RunOfSeries out{.information = run_information(fit.data, *fit.solution), .truth = {}};
+    unit_ = out.information.unit;
+    set_truth(truth, fit.data, out);
+    // The measurand is the item in the mean.
+    out.truth->sensitivity_matrix -= changed_.sensitivity_matrix;
+    out.truth->offset -= changed_.offset;
+    return out;
+  }
+
+  static void set_truth(const sim::BenchTruth& truth, const CollectedReadings& data, RunOfSeries& out) {
+    sim::BenchTruth still = truth;
     still.drift_1 = still.drift_2 = still.drift_3 = still.sensitivity_drift = Eigen::Vector3d::Zero();
     const sim::SimBench world(still);
     out.truth = world.true_line_response(world.start());
-    const sim::DrawnStage stage(b.truth);
+    const sim::DrawnStage stage(truth);
     double count = 0.0;
     for (std::size_t n = 0; n < data.dwells.size(); ++n) {
       if (!is_of_frame(out.information.visits[n])) continue;
@@ -140,12 +205,15 @@ class Trial {
     out.zero /= count;
   }
 
+  std::uint64_t stage_ = 0;
   ScenarioDraw draw_;
   const Scenario* everything_ = nullptr;
   ScenarioBench bench_;
   std::uint64_t run_ = 0;
   int runs_of_item_ = 0;
   std::optional<Eigen::Vector3d> unit_;
+  /// Difference of the item in this run from the item in the mean.
+  sim::TrueLineResponse changed_{Eigen::Matrix3d::Zero(), Eigen::Vector3d::Zero()};
 };
 
 /// Errors and standard uncertainties of one experiment on one stage, group by group.
@@ -158,7 +226,7 @@ struct TrialOutcome {
 };
 
 /// s_vz and s_wy of the first run, turned about X by its mean error, in which the stage has its own zero.
-void add_frame(const RunOfSeries& first, const SeriesRunResult& found, TrialOutcome& out) {
+void add_frame(const RunOfSeries& first, const InRunFit& found, TrialOutcome& out) {
   const EffectLayout& layout = first.information.layout;
   Eigen::RowVectorXd zero = Eigen::RowVectorXd::Zero(found.value.size());
   double count = 0.0;
@@ -195,7 +263,7 @@ void add_frame(const RunOfSeries& first, const SeriesRunResult& found, TrialOutc
   }
 }
 
-void add_item(const RunOfSeries& first, const SeriesItem& item, TrialOutcome& out) {
+void add_item(const RunOfSeries& first, const FittedItem& item, TrialOutcome& out) {
   Eigen::Matrix3d s;
   for (int j = 0; j < 3; ++j) s.row(j) = item.line.segment<3>(3 * j).transpose();
   const IntrinsicProperties found = intrinsic_properties(s);
@@ -211,25 +279,40 @@ void add_item(const RunOfSeries& first, const SeriesItem& item, TrialOutcome& ou
 
 struct Series {
   std::vector<RunOfSeries> runs;
-  SeriesFit fit;
+  MeasurementFit fit;
 };
 
-Series measure(Trial& trial, int faces, int steps, const std::vector<Eigen::Matrix3d>& turns,
-               const SeriesOptions& options = {}) {
-  Series out;
-  for (const Eigen::Matrix3d& turn : turns) out.runs.push_back(trial.measure(faces, steps, turn));
-  std::vector<SeriesRun> runs;
-  for (const RunOfSeries& run : out.runs) runs.push_back({&run.information, 0});
-  out.fit = fit_series(runs, options);
+Series fitted(std::vector<RunOfSeries> measured, const MeasurementOptions& options) {
+  Series out{.runs = std::move(measured), .fit = {}};
+  std::vector<MeasuredItem> runs;
+  for (const RunOfSeries& run : out.runs)
+    runs.push_back({.information = &run.information, .run = static_cast<int>(runs.size()), .pose = {}});
+  out.fit = fit_measurement(runs, options);
   return out;
+}
+
+Series measure(Trial& trial, int faces, int steps, const std::vector<Eigen::Matrix3d>& turns,
+               const MeasurementOptions& options = {}) {
+  std::vector<RunOfSeries> runs;
+  for (const Eigen::Matrix3d& turn : turns) runs.push_back(trial.measure(faces, steps, turn));
+  return fitted(std::move(runs), options);
+}
+
+Series measure_at_rate(Trial& trial, const std::vector<Eigen::Matrix3d>& turns,
+                       const MeasurementOptions& options = {}) {
+  std::vector<RunOfSeries> runs;
+  for (const Eigen::Matrix3d& turn : turns) runs.push_back(std::move(trial.measure_at_rate(turn).front()));
+  return fitted(std::move(runs), options);
 }
 
 TrialOutcome outcome_of(const Series& series, bool with_frame) {
   TrialOutcome out;
   out.solved = series.fit.converged;
   if (!out.solved) return out;
-  add_item(series.runs.front(), series.fit.items.front(), out);
-  if (with_frame) add_frame(series.runs.front(), series.fit.runs.front(), out);
+  for (const FittedItem& item : series.fit.items) {
+    add_item(series.runs[item.first], item, out);
+    if (with_frame) add_frame(series.runs[item.first], series.fit.in_runs[item.first], out);
+  }
   return out;
 }
 
@@ -239,15 +322,15 @@ struct TrialOutcomes {
 };
 
 /// Whether the first run of a series contradicts the record that was its prior.
-bool contradicts(const Series& series, const SeriesOptions& with_record) {
+bool contradicts(const Series& series, const MeasurementOptions& with_record) {
   if (!series.fit.converged) return true;
-  std::vector<EffectTest> tests = test_state(series.runs.front().information, series.fit.runs.front(),
+  std::vector<EffectTest> tests = test_state(series.runs.front().information, series.fit.in_runs.front(),
                                              *with_record.stage, *with_record.repeatabilities);
   judge_record(tests);
   return std::ranges::any_of(tests, [](const EffectTest& test) { return !test.passed; });
 }
 
-TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
+TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage, bool at_rate) {
   TrialOutcomes out;
   const auto at = [&](StageExperiment experiment) -> TrialOutcome& {
     return out.of[static_cast<std::size_t>(experiment)];
@@ -260,17 +343,25 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
     at(StageExperiment::kTwoMountings) = outcome_of(measure(trial, 2, 36, mounting_turns(2)), false);
     trial.new_item();
     at(StageExperiment::kSixMountings) = outcome_of(measure(trial, 1, 12, mounting_turns(6)), false);
+    trial.new_item();
+    if (at_rate)
+      at(StageExperiment::kTwoMountingsAtRate) = outcome_of(measure_at_rate(trial, mounting_turns(2)), false);
+    trial.new_item();
+    trial.change_from_run_to_run();
+    at(StageExperiment::kTwoThatDiffer) = outcome_of(measure(trial, 2, 36, mounting_turns(2)), false);
   }
   Trial trial(seed, stage, true);
   Series taught;
-  std::vector<SeriesRun> teaching;
+  std::vector<MeasuredItem> teaching;
   for (const Eigen::Matrix3d& turn : mounting_turns(12)) taught.runs.push_back(trial.measure(1, 24, turn));
-  for (const RunOfSeries& run : taught.runs) teaching.push_back({&run.information, 0});
+  for (const RunOfSeries& run : taught.runs)
+    teaching.push_back(
+        {.information = &run.information, .run = static_cast<int>(teaching.size()), .pose = {}});
   StageLearned learned = learn_stage(teaching, std::nullopt, 0.0);
   taught.fit = std::move(learned.fit);
   at(StageExperiment::kTwelveMountings) = outcome_of(taught, true);
   if (!taught.fit.converged) return out;
-  const SeriesOptions record = with_record(learned.record, 0.0);
+  const MeasurementOptions record = with_record(learned.record, 0.0);
   trial.new_item();
   const Series sound = measure(trial, 1, 24, {as_is}, record);
   at(StageExperiment::kWithRecord) = outcome_of(sound, true);
@@ -281,6 +372,27 @@ TrialOutcomes run_trial(std::uint64_t seed, std::uint64_t stage) {
   at(StageExperiment::kTwoMountingsWithRecord) = outcome_of(two, true);
   out.alarms.sound += 1;
   out.alarms.sound_contradicted += contradicts(two, record) ? 1 : 0;
+
+  trial.new_item();
+  if (at_rate) {
+    const Series swept = measure_at_rate(trial, {as_is}, record);
+    at(StageExperiment::kAtRateWithRecord) = outcome_of(swept, true);
+    out.alarms.sound += 1;
+    out.alarms.sound_contradicted += contradicts(swept, record) ? 1 : 0;
+    constexpr int kItemsOfTray = 8;
+    trial.new_item();
+    TrialOutcome& tray = at(StageExperiment::kTrayAtRateWithRecord);
+    tray.solved = true;
+    for (RunOfSeries& item : trial.measure_at_rate(as_is, kItemsOfTray)) {
+      std::vector<RunOfSeries> alone;
+      alone.push_back(std::move(item));
+      const TrialOutcome of_item = outcome_of(fitted(std::move(alone), record), true);
+      tray.solved = tray.solved && of_item.solved;
+      for (std::size_t g = 0; g < kStageGroups; ++g)
+        tray.error_and_u[g].insert(tray.error_and_u[g].end(), of_item.error_and_u[g].begin(),
+                                   of_item.error_and_u[g].end());
+    }
+  }
 
   Trial knocked = trial;
   knocked.knock();
@@ -364,16 +476,20 @@ StageRecordStudy run_stage_record_study(const StageRecordOptions& options) {
   if (options.threads < 1)
     throw std::invalid_argument("study of stage records: at least 1 thread is required");
   std::vector<TrialOutcomes> trials(static_cast<std::size_t>(options.stages));
-  const std::size_t done =
-      each_in_parallel(trials.size(), {options.threads, options.stop, options.progress, 1},
-                       [&](std::size_t i) { trials[i] = run_trial(options.seed, i); });
+  const std::size_t done = each_in_parallel(
+      trials.size(), {options.threads, options.stop, options.progress, 1}, [&](std::size_t i) {
+        trials[i] = run_trial(options.seed, i, i < static_cast<std::size_t>(options.stages_at_rate));
+      });
   StageRecordStudy study;
   study.stages = static_cast<int>(done);
   study.seed = options.seed;
   study.interrupted = done < trials.size();
   for (std::size_t e = 0; e < kStageExperiments && done > 0; ++e) {
     std::vector<const TrialOutcome*> own;
-    for (std::size_t i = 0; i < done; ++i) own.push_back(&trials[i].of[e]);
+    const bool at_rate = is_at_rate(kDesigns[e].experiment);
+    const std::size_t stages =
+        at_rate ? std::min(done, static_cast<std::size_t>(options.stages_at_rate)) : done;
+    for (std::size_t i = 0; i < stages; ++i) own.push_back(&trials[i].of[e]);
     study.outcomes.push_back(summed(kDesigns[e], own, options.seed));
   }
   for (std::size_t i = 0; i < done; ++i) {

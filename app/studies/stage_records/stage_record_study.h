@@ -21,8 +21,12 @@ enum class StageExperiment {
   kWithRecord,       ///< A new item, 3 x 24, with the record that twelve mountings of another one taught.
   kTwoMountingsWithRecord,  ///< A new item in two mountings, two faces, 6 x 18 each, with that record.
   kYearLater,               ///< As kWithRecord, a year later on a stage that has changed slowly.
+  kTwoMountingsAtRate,      ///< As it is and turned by 90 degrees about X, at 60 and 20 degrees/s each.
+  kTwoThatDiffer,           ///< As kTwoMountings, of an item that changes by 1e-5 from run to run, as stated.
+  kAtRateWithRecord,        ///< A new item at 60 and 20 degrees/s, with the record of twelve mountings.
+  kTrayAtRateWithRecord,    ///< Eight new items in one run at 60 and 20 degrees/s, with that record.
 };
-inline constexpr std::size_t kStageExperiments = 7;
+inline constexpr std::size_t kStageExperiments = 11;
 
 /// Groups of outputs: s, O, s_vz and s_wy in the frame of the stage, phi.
 inline constexpr std::size_t kStageGroups = 4;
@@ -30,6 +34,8 @@ const std::array<std::string_view, kStageGroups>& stage_group_names();
 
 struct StageRecordOptions {
   int stages = 1000;  ///< For each experiment a new stage, and a new record.
+  int stages_at_rate =
+      1000;  ///< So many of them, at most, for the experiments at constant rates, which take longest.
   std::uint64_t seed = 1;
   int threads = 1;
   std::stop_token stop = {};

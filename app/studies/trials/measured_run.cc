@@ -19,7 +19,7 @@ namespace {
 class NobodyWatches final : public RunObserver {
   void phase(std::size_t /*position*/, RunPhase /*phase*/) override {}
   void dwells(std::size_t /*position*/, std::span<const ItemDwell> /*dwells*/) override {}
-  void notice(std::string_view /*kind*/, std::string_view /*text*/, std::optional<int> /*item*/) override {}
+  void notice(std::string_view /*kind*/, const Message& /*text*/, std::optional<int> /*item*/) override {}
 };
 
 /// A file that is removed with this object, in memory where the system supports it.

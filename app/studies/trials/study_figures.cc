@@ -27,8 +27,7 @@ std::string figure_script(const SimulatedReadings& readings, bool residuals, con
       "set multiplot layout 2,2\n"
       "unset border\nunset tics\nset key center center\n"
       "plot [0:1][0:1] NaN with points pt 1 lc rgb 'red' title 'U', NaN with points pt 2 lc rgb 'dark-green' "
-      "title 'V', "
-      "NaN with points pt 6 lc rgb 'blue' title 'W'\n"
+      "title 'V', NaN with points pt 6 lc rgb 'blue' title 'W'\n"
       "set border\nset tics\nset xtics 90\nset grid\nset xrange [0:360]\nset xlabel 'rotation angle "
       "(degree)'\n"
       "unset key\n";
@@ -36,9 +35,8 @@ std::string figure_script(const SimulatedReadings& readings, bool residuals, con
   for (int experiment = 1; experiment <= 3; ++experiment) {
     script += fmt::format(
         "set title 'experiment {0}'\n"
-        "plot $e{0} using 1:2 with points pt 1 ps 0.6 lc rgb 'red', "
-        "$e{0} using 1:3 with points pt 2 ps 0.6 lc rgb 'dark-green', "
-        "$e{0} using 1:4 with points pt 6 ps 0.6 lc rgb 'blue'\n",
+        "plot $e{0} using 1:2 with points pt 1 ps 0.6 lc rgb 'red', $e{0} using 1:3 with points pt 2 ps 0.6 "
+        "lc rgb 'dark-green', $e{0} using 1:4 with points pt 6 ps 0.6 lc rgb 'blue'\n",
         experiment);
   }
   return script + "unset multiplot\nunset output\n";

@@ -6,6 +6,7 @@
 
 #include "app/results/analysis/result_json.h"
 #include "drivers/text/names.h"
+#include "protocol/estimators/shared/calibration_result.h"
 
 namespace abcal {
 namespace {
@@ -128,8 +129,8 @@ Json validation_json(const std::vector<GumValidation>& validation) {
 void add_joint(Json& json, const RunUncertainty& study) {
   const JointComparison& joint = *study.joint;
   json["posterior"] = {{"standard_uncertainty", groups(joint.standard_uncertainty)},
-                       {"coverage_probability", 0.95},
-                       {"expanded_uncertainty", groups(joint.expanded_95)}};
+                       {"coverage_probability", kCoverageProbability},
+                       {"expanded_uncertainty", groups(joint.expanded)}};
   if (study.combined.coverage.empty()) {
     json["interval"] = nullptr;
   } else {

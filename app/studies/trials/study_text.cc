@@ -112,7 +112,7 @@ std::string means_and_deviations(const StudyCase& one) {
   text += matrix_rows(deviation, one.published_standard_deviation, one.table);
   text += fmt::format("  {:<14}{:>11} {:>11}", "Intrinsic", "Mean error", "Std. dev.");
   if (one.published) text += fmt::format("  | {:<21}", "printed");
-  text += fmt::format("  {:<9}{}\n", "Unit", result.coverage.empty() ? "" : "95 % interval");
+  text += fmt::format("  {:<9}{}\n", "Unit", result.coverage.empty() ? "" : "95.45 % interval");
   // The paper's order: s, O, phi.
   for (const int first : {kFirstIntrinsicSensitivity, kFirstOffset, kFirstIntrinsicAngle}) {
     for (int k = first; k < first + 3; ++k) {
@@ -204,8 +204,7 @@ std::string budget_text(const RunUncertainty& study) {
 std::string validation_text(const RunUncertainty& study) {
   if (study.validation.empty()) return {};
   std::string text = "\nValidation of the GUM framework against Monte Carlo (JCGM 101, section 8)\n";
-  text +=
-      fmt::format("  {:<8}{:>10} {:>10} {:>10} {:>10}  {}\n", "", "U (95 %)", "d_low", "d_high", "delta", "");
+  text += fmt::format("  {:<8}{:>10} {:>10} {:>10} {:>10}  {}\n", "", "U", "d_low", "d_high", "delta", "");
   for (int k = 0; k < kStudyOutputs; ++k) {
     const GumValidation& v = study.validation[static_cast<std::size_t>(k)];
     text += fmt::format("  {:<8}{:>10.2e} {:>10.2e} {:>10.2e} {:>10.2e}  {}{}\n", output_symbol(k),
@@ -216,11 +215,11 @@ std::string validation_text(const RunUncertainty& study) {
   return text;
 }
 
-/// The joint result: its statements, and Monte Carlo next to them.
+/// A joint or norm result: its statements, and Monte Carlo next to them.
 std::string joint_text(const RunUncertainty& study) {
   const JointComparison& joint = *study.joint;
   const MonteCarloResult& made = study.combined;
-  std::string text = fmt::format("Uncertainty of the joint result of {}\n", study.source);
+  std::string text = fmt::format("Uncertainty of the {} result of {}\n", study.estimator, study.source);
   if (study.no_trials.empty()) {
     text += fmt::format("{} trials, seed {} (Philox4x32-10)\n", made.trials, study.seed);
     text += note_lines(kWhatIsChecked, "");
@@ -229,10 +228,11 @@ std::string joint_text(const RunUncertainty& study) {
   }
   const bool intervals = !made.coverage.empty();
   text += fmt::format("\n  {:<8}{:>13} {:>8} {:>8} {:>8} {:>10} {:>9}  {}\n", "", "", "stated", "stated",
-                      made.trials >= 2 ? "trials" : "", intervals ? "95 %" : "", "", "");
-  text += fmt::format("  {:<8}{:>13} {:>8} {:>8} {:>8} {:>10} {:>9}  {}\n", "", "value", "u", "U (95 %)",
+                      made.trials >= 2 ? "trials" : "", intervals ? "95.45 %" : "", "", "");
+  text += fmt::format("  {:<8}{:>13} {:>8} {:>8} {:>8} {:>10} {:>9}  {}\n", "", "value", "u", "U",
                       made.trials >= 2 ? "u" : "", intervals ? "from" : "", intervals ? "to" : "", "unit");
   for (int k = 0; k < kStudyOutputs; ++k) {
+    if (std::isnan(to_vector(study.value)(k))) continue;
     std::string from, to;
     if (intervals) {
       const CoverageInterval& error = made.coverage[static_cast<std::size_t>(k)].symmetric;
@@ -240,25 +240,23 @@ std::string joint_text(const RunUncertainty& study) {
       to = fmt::format("{:+.2e}", -error.low);
     }
     const double u = joint.standard_uncertainty(k);
-    text +=
-        fmt::format("  {:<8}{:>13} {:>8.1e} {:>8.1e} {:>8} {:>10} {:>9}  {}\n", output_symbol(k),
-                    with_decimals(to_vector(study.value)(k), decimals_for(u), true), u, joint.expanded_95(k),
-                    made.trials >= 2 ? fmt::format("{:.1e}", made.standard_deviation(k)) : "", from, to,
-                    output_unit(k, study.response_unit));
+    text += fmt::format("  {:<8}{:>13} {:>8.1e} {:>8.1e} {:>8} {:>10} {:>9}  {}\n", output_symbol(k),
+                        with_decimals(to_vector(study.value)(k), decimals_for(u), true), u, joint.expanded(k),
+                        made.trials >= 2 ? fmt::format("{:.1e}", made.standard_deviation(k)) : "", from, to,
+                        output_unit(k, study.response_unit));
   }
   if (intervals)
     text += note_lines(
-        "From and to: the 95 % interval by Monte Carlo less the value, as value minus error gives it. U (95 "
-        "%) "
-        "is stated: u times k for 95 % and the result's degrees of freedom.",
+        "From and to: the 95.45 % interval by Monte Carlo less the value, as value minus error gives it. U "
+        "is "
+        "stated: u times k for 95.45 % and the result's degrees of freedom.",
         "  ");
   text += note_lines(made.note, "  ");
   if (joint.solved_in_full > 0)
-    text += note_lines(
-        fmt::format("The trials are solved by the derivatives at the run's solution. {} were solved "
-                    "in full too: they differ by {:.1g} u (rms, the worst output).",
-                    joint.solved_in_full, joint.largest_deviation),
-        "  ");
+    text += note_lines(fmt::format("The trials are solved by the derivatives at the run's solution. {} were "
+                                   "solved in full too: they differ by {:.1g} u (rms, the worst output).",
+                                   joint.solved_in_full, joint.largest_deviation),
+                       "  ");
   if (study.no_trials.empty() && study.warnings.empty())
     text += fmt::format("  No uncertainty differs by more than {:.0f} %.\n", 100.0 * kNamedDifference);
   for (const std::string& warning : study.warnings) text += note_lines("WARNING: " + warning, "  ");
@@ -315,8 +313,9 @@ std::string study_text(const RunUncertainty& study) {
   text += fmt::format("{} trials, seed {} (Philox4x32-10)\n\n", b.trials, study.seed);
   const Eigen::VectorXd readings =
       (study.budget.covariance - study.budget.type_b_covariance).diagonal().cwiseMax(0.0);
-  text += fmt::format("  {:<8}{:>16} {:>10} {:>10} {:>10}  {:<24}{}\n", "", "value", "u type B", "u others",
-                      "u combined", study.combined.coverage.empty() ? "" : "95 % interval (error)", "unit");
+  text +=
+      fmt::format("  {:<8}{:>16} {:>10} {:>10} {:>10}  {:<24}{}\n", "", "value", "u type B", "u others",
+                  "u combined", study.combined.coverage.empty() ? "" : "95.45 % interval (error)", "unit");
   for (int k = 0; k < kStudyOutputs; ++k) {
     std::string interval;
     if (!study.combined.coverage.empty()) {
@@ -366,8 +365,7 @@ std::string study_text(const RunUncertainty& study) {
 std::string study_csv(const StudyResult& study) {
   std::string csv =
       "case,output,unit,error,mean,standard_deviation,symmetric_low,symmetric_high,shortest_low,shortest_"
-      "high,paper,"
-      "paper_standard_deviation\n";
+      "high,paper,paper_standard_deviation\n";
   for (const StudyCase& one : study.cases) {
     for (int k = 0; k < kStudyOutputs; ++k) {
       csv += fmt::format("{},{},{},", csv_field(one.name), output_symbol(k), output_unit(k, "R"));

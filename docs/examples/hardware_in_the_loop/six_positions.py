@@ -57,8 +57,12 @@ class VectorNav(Line):
         checksum = 0
         for character in text:
             checksum ^= ord(character)
-        while True:  # What it streams comes in between.
-            answer = self.ask(f"${text}*{checksum:02X}\r\n")
+        # Asked once: a second request would have a second answer, and each later answer would then be an old one.
+        self.send(f"${text}*{checksum:02X}\r\n")
+        while True:  # Messages that it streams come in between.
+            answer = self.reader.readline().strip()
+            if not answer:
+                raise RuntimeError(f"accelerometer: no answer to {text}")
             if answer.startswith("$" + text[:5]):
                 return answer[1:].split("*")[0].split(",")
 

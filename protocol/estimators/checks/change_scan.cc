@@ -62,6 +62,13 @@ struct Gain {
 Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, const Eigen::VectorXd& own) {
   Gain gain;
   gain.size = Eigen::VectorXd::Zero(right.size());
+  if (right.size() == 1) {
+    if (!(own(0) > 0.0 && information(0, 0) / own(0) > kUndetermined)) return gain;
+    gain.size(0) = right(0) / information(0, 0);
+    gain.fall = right(0) * gain.size(0);
+    gain.degrees_of_freedom = 1;
+    return gain;
+  }
   const Eigen::VectorXd scale =
       own.unaryExpr([](double value) { return value > 0.0 ? 1.0 / std::sqrt(value) : 0.0; });
   const SymmetricEigen eigen = symmetric_eigen(scaled_on_both_sides(information, scale));

@@ -2,7 +2,12 @@
 
 #include <string_view>
 
+#include "drivers/text/message.h"
+
 namespace abcal {
+
+/// Check::name as a message: "drift of u"; bare for a name that no check has.
+Message name_of_check(std::string_view check);
 
 /// The question that a check of a result answers, as one sentence that holds whether it passed or failed.
 /// @param check  Check::name: "mounting slip", "drift of u"

@@ -132,8 +132,7 @@ Message words_of(const ChangeScan& scan, const Change& change, const RunRecord& 
     case ChangeKind::kAxisZ:
       return Message(
           "axis Z is off by {angle:+.3f} degrees from {where} on: a missed step that its encoder does not "
-          "see, or the "
-          "accelerometer slipped on the platter about z{more}",
+          "see, or the accelerometer slipped on the platter about z{more}",
           change.size(0) * kDegrees, dwell_words(here), others);
     case ChangeKind::kOutput:
       return {"output {output} jumped by {jump:.2g} {unit} between {before} and {after}{more}",
@@ -154,12 +153,13 @@ Message words_of(const ChangeScan& scan, const Change& change, const RunRecord& 
       alternative.insert(
           alternative.begin(),
           as_before.size() == 3
-              ? Message(", {cause}",
-                        Message("and as at the angle before: the outputs were stuck, or the axis "
-                                "did not move"))
-              : Message(": {cause}",
-                        Message("a missed step that was made up for, or the axis was moved while "
-                                "they were taken")));
+              ? Message(
+                    ", {cause}",
+                    Message("and as at the angle before: the outputs were stuck, or the axis did not move"))
+              : Message(
+                    ": {cause}",
+                    Message(
+                        "a missed step that was made up for, or the axis was moved while they were taken")));
       return {"{where}: the readings are those of an angle {angle:+.3f} degrees away{more}",
               dwell_words(here), change.size(0) * kDegrees, in_sequence(alternative, "")};
     case ChangeKind::kReading:
@@ -179,8 +179,7 @@ Message words_of(const ChangeScan& scan, const Change& change, const RunRecord& 
       if (one)
         return {
             "{where}: output {output} is off by {change:.2g} of the sensitivity; {reader} read what {what} "
-            "had "
-            "read at the angle before: stuck{more}",
+            "had read at the angle before: stuck{more}",
             where,
             kOutputNames[change.accelerometer],
             change.magnitude,
@@ -189,8 +188,7 @@ Message words_of(const ChangeScan& scan, const Change& change, const RunRecord& 
             others};
       return {
           "{where}: the outputs are off by {change:.2g} of the sensitivity; {reader} read what {what} had "
-          "read "
-          "at the angle before: stuck{more}",
+          "read at the angle before: stuck{more}",
           where,
           change.magnitude,
           readers,
@@ -238,9 +236,7 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
     if (!check.passed) {
       check.words = Message(
           "output {output} drifted by {change:.2g} of its sensitivity over the run, {times:.1f} times its "
-          "tolerance: "
-          "temperature, "
-          "warm-up or supply",
+          "tolerance: temperature, warm-up or supply",
           kOutputNames[j], drift, std::abs(drift) / prior);
     }
     checks.push_back(std::move(check));
@@ -366,9 +362,7 @@ void check_full_scale(const RunRecord& record, const Eigen::Vector3d& sensitivit
     }
     check.words = Message(
         "sensitivities of u, v, w differ by {u}, {v}, {w} from the nominal {nominal:.6g} {unit} per g_loc, "
-        "required: "
-        "within {limit:.2g} %"
-        " ([item] sensitivity_tolerance): {causes}",
+        "required: within {limit:.2g} % ([item] sensitivity_tolerance): {causes}",
         percent(ratio(0)), percent(ratio(1)), percent(ratio(2)), *nominal, record.response_unit,
         100.0 * check.limit, cause);
   }
@@ -492,11 +486,10 @@ std::vector<Check> check_record(const RunRecord& record) {
       return checks;
     }
     if (!scan.converged) {
-      checks.push_back(
-          {"joint fit", std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN(),
-           "", false,
-           Message("the joint fit does not converge: the readings are not those of the three experiments, or "
-                   "their angles are wrong")});
+      checks.push_back({"joint fit", std::numeric_limits<double>::quiet_NaN(),
+                        std::numeric_limits<double>::quiet_NaN(), "", false,
+                        Message("the joint fit does not converge: the readings are not those of the three "
+                                "experiments, or their angles are wrong")});
       return checks;
     }
     check_changes(record, scan, checks);

@@ -647,9 +647,7 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
     const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
     const Message sentence(
         "experiment {experiment}: harmonic {harmonic} of {output} has an amplitude of {amplitude:.3g} "
-        "{unit}, beyond its uncertainty "
-        "(non-linearity or "
-        "synchronous step errors)",
+        "{unit}, beyond its uncertainty (non-linearity or synchronous step errors)",
         diagnostic.experiment, harmonic.order, kOutputNames[j], amplitude, result.response_unit);
     // Errors of the result for a non-linearity of this size (docs/theory/uncertainty.md): K2/2 is the second
     // harmonic and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within
@@ -703,8 +701,7 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
     if (test.deviate > kContradictionLevel) {
       objections.add(
           Message("experiment {experiment}: the residuals of {output} are {rms:.3g} {unit} rms where "
-                  "{explained:.3g} is explained by "
-                  "noise and tolerances",
+                  "{explained:.3g} is explained by noise and tolerances",
                   series.experiment, kOutputNames[j],
                   std::sqrt(cleaned.residuals.squaredNorm() / static_cast<double>(diagnostic.angles)),
                   result.response_unit, test.expected_rms));
@@ -1055,8 +1052,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   result.verdict = Verdict::kUsable;
   result.why = Message(
       "{angles} angles in three experiments ({experiments}) determine the result, and nothing found "
-      "contradicts the stated "
-      "uncertainties",
+      "contradicts the stated uncertainties",
       selection.dwells.size(), angles_of_experiments(selection));
   return result;
 }

@@ -102,8 +102,7 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
   if (fit.rank < columns || !(fit.reciprocal_condition >= kSmallestReciprocalCondition)) {
     throw UndeterminedFit(
         fmt::format("{} angles cannot determine {}: rank {}, reciprocal condition {:.1e}; a rank of {} and "
-                    "{:.0e} are required "
-                    "(spread the angles over the circle)",
+                    "{:.0e} are required (spread the angles over the circle)",
                     readings.size(), coefficients_in_words(harmonics), fit.rank, fit.reciprocal_condition,
                     columns, kSmallestReciprocalCondition));
   }

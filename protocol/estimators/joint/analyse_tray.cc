@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <map>
 #include <numbers>
+#include <set>
 #include <stdexcept>
 #include <string_view>
 #include <tuple>
@@ -17,8 +18,8 @@
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/joint/joint_verdict.h"
-#include "protocol/estimators/joint/tray_fit.h"
-#include "protocol/estimators/series/series_result.h"
+#include "protocol/estimators/measurement/measurement_result.h"
+#include "protocol/estimators/measurement/stage_poses.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/objection.h"
 #include "protocol/estimators/shared/side_by_side.h"
@@ -36,61 +37,6 @@ constexpr double kUradPerRadian = 1e6;
 /// makes different items differ.
 constexpr double kSameReadings = 0.5;
 
-/// The angles of the stage in the order of measurement, and the angle of each dwell of each record.
-class StageAngles {
- public:
-  explicit StageAngles(std::span<const RunRecord> records) {
-    for (const RunRecord& record : records) add(record);
-  }
-  std::span<const DwellRecord* const> angles() const { return angles_; }
-  int of(const DwellRecord* dwell) const { return place_.at(dwell); }
-  std::vector<int> of(const CollectedReadings& data) const {
-    std::vector<int> out;
-    for (const DwellRecord* dwell : data.dwells) out.push_back(of(dwell));
-    return out;
-  }
-
- private:
-  using Key = std::tuple<int, int, DwellRole, bool>;
-
-  /// Largest time (s) between two items' dwells at one angle. Items read at different rates may have the
-  /// middle of a dwell at different times, but closer to each other than to that of any other dwell.
-  static double same_time(const RunRecord& record) {
-    double least = std::numeric_limits<double>::infinity();
-    for (std::size_t i = 1; i < record.dwells.size(); ++i) {
-      const auto& [before, now] = std::pair(record.dwells[i - 1].time_s, record.dwells[i].time_s);
-      if (before && now && *now > *before) least = std::min(least, *now - *before);
-    }
-    return 0.5 * least;
-  }
-
-  void add(const RunRecord& record) {
-    const double within = same_time(record);
-    std::map<Key, std::size_t> visits;  // of this record
-    for (const DwellRecord& dwell : record.dwells) {
-      const Key key(dwell.experiment, dwell.n, dwell.role, dwell.closing);
-      std::vector<int>& known = by_key_[key];
-      const std::size_t visit = visits[key]++;
-      int found = -1;
-      for (std::size_t i = 0; i < known.size() && found < 0; ++i) {
-        const std::optional<double>& time = angles_[static_cast<std::size_t>(known[i])]->time_s;
-        const bool same = time && dwell.time_s ? std::abs(*time - *dwell.time_s) <= within : i == visit;
-        if (same) found = known[i];
-      }
-      if (found < 0) {
-        found = static_cast<int>(angles_.size());
-        known.push_back(found);
-        angles_.push_back(&dwell);
-      }
-      place_[&dwell] = found;
-    }
-  }
-
-  std::vector<const DwellRecord*> angles_;
-  std::map<Key, std::vector<int>> by_key_;
-  std::map<const DwellRecord*, int> place_;
-};
-
 /// The steps from the records to the result.
 class TrayAnalysis {
  public:
@@ -103,17 +49,24 @@ class TrayAnalysis {
   void choose_members();
   bool fit_members();
   void agree();
-  double test_agreement(const TrayFit& fit);
+  double test_agreement();
   void fill_common();
-  void add_shared_voltmeters();
+  void share_voltmeters();
+  std::vector<const DwellRecord*> poses_in_use() const;
+  Eigen::MatrixXd rows_of_angle_errors(std::span<const DwellRecord* const> poses) const;
+  EffectFit stage_fit() const;
   void fill_stage(double level);
   double level() const;
 
   std::span<const RunRecord> records_;
+  bool stage_of_one_;
   std::vector<ItemFit> own_;
-  StageAngles angles_;
+  StagePoses poses_;
   std::vector<std::size_t> members_;
-  TrayFit fit_;
+  std::vector<std::optional<RunInformation>> information_;  ///< Present for items that have a solution.
+  std::vector<MeasuredItem> measured_;                      ///< The members.
+  MeasurementOptions fit_options_;
+  MeasurementFit fit_;
   std::vector<std::pair<std::size_t, Message>> objections_;  ///< Item and objection to its result.
   TrayResult out_;
 };
@@ -128,36 +81,37 @@ void require_one_stage(std::span<const RunRecord> records, const JointOptions& o
       const double first = key.get(records.front().tolerances);
       const double other = key.get(records[k].tolerances);
       if (first != other)
-        throw std::invalid_argument(fmt::format(
-            "tray: item 1 states [{}] {} = {:.6g}, item {} states {:.6g}; all items of a run stand "
-            "on one stage: state one size",
-            key.section, key.key, first, k + 1, other));
+        throw std::invalid_argument(
+            fmt::format("tray: item 1 states [{}] {} = {:.6g}, item {} states {:.6g}; all items of a run "
+                        "stand on one stage: state one size",
+                        key.section, key.key, first, k + 1, other));
     }
   }
 }
 
-/// The result of an item by its own fit, with the record of the stage if there is one and no other item.
-CalibrationResult result_of_one(const RunRecord& record, const ItemFit& own, std::size_t items) {
-  if (!record.stage_record.record) return joint_result(record, own);
-  if (items == 1) return result_with_record(record, own);
-  CalibrationResult result = joint_result(record, own);
-  result.diagnostics.notes.push_back(Message(
-      "the record of the stage is not used: several items are fitted with the stated sizes of the stage"));
-  return result;
+/// The result of an item by its own fit, with the record of the stage if there is one.
+CalibrationResult result_of_one(const RunRecord& record, const ItemFit& own) {
+  return record.stage_record.record ? result_with_record(record, own) : joint_result(record, own);
 }
 
 TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOptions& options)
-    : records_(records), angles_(records) {
+    : records_(records), stage_of_one_(options.stage_of_one), poses_(records) {
   own_.resize(records.size());
+  information_.resize(records.size());
   out_.items.resize(records.size());
-  side_by_side(records.size(), [&](std::size_t k) {
+  // The checks of a record need no fit.
+  side_by_side(2 * records.size(), [&](std::size_t task) {
+    const std::size_t k = task / 2;
+    if (task % 2 == 1) {
+      out_.items[k].checks = check_record(records[k]);
+      return;
+    }
     try {
       own_[k] = fit_item(records[k], options);
     } catch (const UnusableData& error) {
       own_[k].why = error.message();
     }
-    out_.items[k].result = result_of_one(records[k], own_[k], records.size());
-    out_.items[k].checks = check_record(records[k]);
+    out_.items[k].result = result_of_one(records[k], own_[k]);
   });
 }
 
@@ -176,19 +130,18 @@ void TrayAnalysis::set_aside(std::size_t k, const Message& words) {
 void TrayAnalysis::set_aside_copies() {
   for (std::size_t i = 0; i < records_.size(); ++i) {
     std::map<int, const DwellRecord*> of_first;
-    for (const DwellRecord& dwell : records_[i].dwells) of_first[angles_.of(&dwell)] = &dwell;
+    for (const DwellRecord& dwell : records_[i].dwells) of_first[poses_.of(&dwell)] = &dwell;
     for (std::size_t k = i + 1; k < records_.size(); ++k) {
       std::size_t same = 0;
       for (const DwellRecord& dwell : records_[k].dwells) {
-        const auto other = of_first.find(angles_.of(&dwell));
+        const auto other = of_first.find(poses_.of(&dwell));
         if (other != of_first.end() && other->second->mean == dwell.mean) ++same;
       }
       if (!(static_cast<double>(same) > kSameReadings * static_cast<double>(records_[k].dwells.size())))
         continue;
       const Message words(
           "items {first} and {second} have the same readings at {same} of {all} angles: one item is read "
-          "twice; "
-          "see which port each is on",
+          "twice; see which port each is on",
           i + 1, k + 1, same, records_[k].dwells.size());
       objections_.emplace_back(i, words);
       set_aside(k, words);
@@ -212,40 +165,43 @@ void TrayAnalysis::choose_members() {
       if (sound(k)) members_.push_back(k);
     }
   }
-  if (records_.size() > 1 && is_at_constant_rate(records_.front())) {
-    // Delays of the items are among the unknowns of the stage that they would share.
+  if (const auto why = why_each_by_itself(records_); why && records_.size() > 1) {
     members_.clear();
-    for (const std::size_t k : solved)
-      out_.items[k].why_not = Message("at a constant rate each item is evaluated by itself");
+    for (const std::size_t k : solved) out_.items[k].why_not = *why;
     return;
   }
   if (members_.empty()) members_ = solved;
   for (const std::size_t k : solved) {
     if (std::find(members_.begin(), members_.end(), k) == members_.end())
-      out_.items[k].why_not =
-          Message("doubtful on its own, so that its readings tell nothing of the stage to the others");
+      out_.items[k].why_not = doubtful_on_its_own();
   }
 }
 
 bool TrayAnalysis::fit_members() {
-  std::vector<TrayMember> members;
-  std::vector<TrayAngle> angles;
-  for (const DwellRecord* angle : angles_.angles()) {
-    const SinCos alpha = sincos(angle->alpha);
-    angles.push_back({angle->experiment, alpha.sin, alpha.cos, angle->face});
+  measured_.clear();
+  for (const std::size_t k : members_) {
+    if (!information_[k]) {
+      information_[k] = run_information(own_[k].data, *own_[k].solution);
+      information_[k]->source = records_[k].source;
+    }
+    measured_.push_back({.information = &*information_[k],
+                         .item = static_cast<int>(measured_.size()),
+                         .pose = poses_.of(own_[k].data),
+                         .own = &*own_[k].solution});
   }
-  for (const std::size_t k : members_) members.push_back({&*own_[k].solution, angles_.of(own_[k].data)});
-  fit_ = fit_tray(members, angles);
+  fit_options_ = options_of(records_.front().stage_record);
+  fit_options_.separates_what_repeats = fit_options_.stage.has_value();
+  fit_ = fit_measurement(measured_, fit_options_);
   return fit_.converged;
 }
 
 /// @return the least probability of all members
-double TrayAnalysis::test_agreement(const TrayFit& fit) {
+double TrayAnalysis::test_agreement() {
   double least = 1.0;
   for (std::size_t i = 0; i < members_.size(); ++i) {
     TrayItemResult& item = out_.items[members_[i]];
     const EffectSolution& own = *own_[members_[i]].solution;
-    item.chi2_given_others = fit.chi2_given_others[i];
+    item.chi2_given_others = fit_.items[i].chi2_given_others;
     item.degrees_of_freedom = own.fit.chi2_degrees_of_freedom;
     item.probability = f_tail(item.chi2_given_others, item.degrees_of_freedom, own.white.redundancy.sum());
     least = std::min(least, item.probability);
@@ -264,14 +220,15 @@ void TrayAnalysis::agree() {
                    "no stage explains the readings of all items together (the common fit did not converge)"));
       return;
     }
-    if (test_agreement(fit_) >= level()) return;
+    if (test_agreement() >= level()) return;
     if (members_.size() == 2) {
       const std::vector<std::size_t> both = members_;
       for (const std::size_t k : both)
-        set_aside(k, Message("items {first} and {second} contradict each other about the stage (probability "
-                             "{probability:.1g}), "
-                             "and two cannot tell which of them is wrong: see how they are mounted",
-                             both[0] + 1, both[1] + 1, out_.items[k].probability));
+        set_aside(
+            k, Message(
+                   "items {first} and {second} contradict each other about the stage (probability "
+                   "{probability:.1g}), and two cannot tell which of them is wrong: see how they are mounted",
+                   both[0] + 1, both[1] + 1, out_.items[k].probability));
       return;
     }
     const std::size_t worst = *std::max_element(members_.begin(), members_.end(), [&](auto a, auto b) {
@@ -296,27 +253,91 @@ std::pair<double, const char*> shown_unit(std::string_view key) {
   return {kDegreesPerRadian, "degree"};
 }
 
+/// The stage's poses at which any member has a reading, in the order of measurement. None in motion.
+std::vector<const DwellRecord*> TrayAnalysis::poses_in_use() const {
+  std::set<int> in_use;
+  for (const MeasuredItem& one : measured_)
+    if (!one.information->in_motion) in_use.insert(one.pose.begin(), one.pose.end());
+  std::vector<const DwellRecord*> out;
+  if (fit_.poses.size() == static_cast<Eigen::Index>(fit_.stage.names.size()))
+    return out;  // Their size is zero.
+  for (const int pose : in_use) out.push_back(poses_.poses()[static_cast<std::size_t>(pose)]);
+  return out;
+}
+
+/// The error of the angle turned at each pose, minus its mean over the experiment, as rows by the unknowns of
+/// the stage and the step errors of the poses.
+Eigen::MatrixXd TrayAnalysis::rows_of_angle_errors(std::span<const DwellRecord* const> poses) const {
+  const std::vector<EffectLayout::StageUnknown>& unknowns = measured_.front().information->layout.stage;
+  const auto names = static_cast<Eigen::Index>(fit_.stage.names.size());
+  const auto count = static_cast<Eigen::Index>(poses.size());
+  Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(count, fit_.poses.size());
+  Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(3, fit_.poses.size());
+  Eigen::Vector3d in_experiment = Eigen::Vector3d::Zero();
+  for (Eigen::Index a = 0; a < count; ++a) {
+    const DwellRecord& angle = *poses[static_cast<std::size_t>(a)];
+    const SinCos alpha = sincos(angle.alpha);
+    const StagePose pose = StagePose::of(angle.experiment, angle.face, alpha.sin, alpha.cos);
+    for (const EffectLayout::StageUnknown& unknown : unknowns) {
+      const StageShare share = unknown.effect->share(pose, unknown.index);
+      if (share.input == moving_angle_input(angle.experiment))
+        rows(a, fit_.stage.place_of(unknown_name(*unknown.effect, unknown.index))) = share.value;
+    }
+    rows(a, names + a) = 1.0;
+    mean.row(angle.experiment - 1) += rows.row(a);
+    in_experiment(angle.experiment - 1) += 1.0;
+  }
+  for (Eigen::Index a = 0; a < count; ++a) {
+    const int experiment = poses[static_cast<std::size_t>(a)]->experiment - 1;
+    rows.row(a) -= mean.row(experiment) / in_experiment(experiment);
+  }
+  return rows;
+}
+
+/// The stage as the tests of sizes take it.
+EffectFit TrayAnalysis::stage_fit() const {
+  EffectFit out;
+  const auto names = static_cast<Eigen::Index>(fit_.stage.names.size());
+  out.unknowns.resize(fit_.stage.names.size());
+  for (const EffectUnknown& unknown : measured_.front().information->unknowns)
+    if (const Eigen::Index place = unknown.output < 0 ? fit_.stage.place_of(unknown.name) : -1; place >= 0)
+      out.unknowns[static_cast<std::size_t>(place)] = unknown;
+  out.value = fit_.poses.head(names);
+  out.covariance = fit_.covariance_poses.topLeftCorner(names, names);
+  for (Eigen::Index a = names; a < fit_.poses.size(); ++a) {
+    out.step_error.push_back(fit_.poses(a));
+    out.u_step_error.push_back(std::sqrt(fit_.covariance_poses(a, a)));
+  }
+  return out;
+}
+
 void TrayAnalysis::fill_stage(double level) {
-  const EffectFit& stage = fit_.stage;
+  const EffectFit stage = stage_fit();
   TrayStage& out = out_.stage.emplace();
   out.items = static_cast<int>(members_.size());
   for (std::size_t i = 0; i < stage.unknowns.size(); ++i) {
     const EffectUnknown& unknown = stage.unknowns[i];
     const auto at = static_cast<Eigen::Index>(i);
-    if (unknown.key == "sweep_deg") continue;  // Only of this run's sweeps.
+    if (unknown.name.empty()) continue;  // The record alone knows it.
     const auto [factor, unit] = shown_unit(unknown.key);
     out.unknowns.push_back({unknown.effect, unknown.name,
                             scaled_quantity(stage.value(at), stage.covariance(at, at), factor, unit)});
   }
+  const std::vector<const DwellRecord*> poses = poses_in_use();
+  const Eigen::MatrixXd rows = rows_of_angle_errors(poses);
+  const Eigen::VectorXd error = product_with_vector(rows, fit_.poses);
+  const Eigen::MatrixXd row_by_covariance = product(rows, fit_.covariance_poses);
   for (std::size_t a = 0; a < stage.step_error.size(); ++a) {
-    const DwellRecord& angle = *angles_.angles()[a];
-    const double u = stage.u_step_error[a];
-    const double u_error = fit_.u_angle_error[a];
+    const DwellRecord& angle = *poses[a];
+    const auto at = static_cast<Eigen::Index>(a);
     out.steps.push_back(
         {angle.experiment, angle.n, angle.closing ? DwellRole::kClosing : angle.role,
-         scaled_quantity(stage.step_error[a], u * u, kDegreesPerRadian, "degree"),
-         scaled_quantity(fit_.angle_error[a], u_error * u_error, kDegreesPerRadian, "degree")});
+         scaled_quantity(stage.step_error[a], std::pow(stage.u_step_error[a], 2), kDegreesPerRadian,
+                         "degree"),
+         scaled_quantity(error(at), std::max(0.0, row_by_covariance.row(at).dot(rows.row(at))),
+                         kDegreesPerRadian, "degree")});
   }
+  if (fit_options_.stage) return;  // Each item's result has the test of the record.
   if (members_.size() == 1) {
     // The tests of one member alone are those of its own verdict.
     for (const EffectTest& test : own_[members_.front()].tests.effects) {
@@ -339,17 +360,17 @@ void TrayAnalysis::fill_common() {
   if (members_.size() == 1) {
     out_.items[members_.front()].in_common_fit = true;
     out_.common_covariance = *out_.items[members_.front()].result.covariance;
-    if (fit_members()) fill_stage(level());
+    if ((records_.size() > 1 || stage_of_one_) && fit_members()) fill_stage(level());
     return;
   }
   out_.iterations = fit_.iterations;
-  out_.common_covariance = fit_.covariance;
+  out_.common_covariance = fit_.covariance_lines;
   fill_stage(level());
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const std::size_t k = members_[i];
     TrayItemResult& item = out_.items[k];
     item.in_common_fit = true;
-    item.result = joint_result(records_[k], own_[k], &fit_.items[i]);
+    item.result = result_from(records_[k], own_[k], measured_[i], fit_, fit_options_);
     item.result.joint->iterations = fit_.iterations;
     if (out_.stage->contradicted_sizes.empty()) continue;
     object_to(item.result, Message("all items together contradict what is stated of the stage: {sizes}",
@@ -359,22 +380,10 @@ void TrayAnalysis::fill_common() {
   }
 }
 
-/// Adds the gain of a voltmeter that reads several items: not an unknown of the fit, but common to them.
-void TrayAnalysis::add_shared_voltmeters() {
-  if (members_.size() < 2) return;  // It is in the covariance of the only result.
-  const auto effect = [&](std::size_t k) {
-    const CalibrationResult& result = out_.items[k].result;
-    const Eigen::Vector3d offset(result.offset[0].value, result.offset[1].value, result.offset[2].value);
-    return effect_of_gain(result.sensitivity_values(), offset, records_[k].tolerances);
-  };
-  for (std::size_t i = 0; i < members_.size(); ++i) {
-    for (std::size_t k = 0; k < members_.size(); ++k) {
-      if (!share_voltmeter(records_[members_[i]].tolerances, records_[members_[k]].tolerances)) continue;
-      out_.common_covariance.block<12, 12>(12 * static_cast<Eigen::Index>(i),
-                                           12 * static_cast<Eigen::Index>(k)) +=
-          effect(members_[i]) * effect(members_[k]).transpose();
-    }
-  }
+void TrayAnalysis::share_voltmeters() {
+  std::vector<ReadItem> read;
+  for (const std::size_t k : members_) read.push_back({&out_.items[k].result, &records_[k].tolerances});
+  add_shared_voltmeters(read, out_.common_covariance);
 }
 
 TrayResult TrayAnalysis::result() && {
@@ -382,7 +391,7 @@ TrayResult TrayAnalysis::result() && {
   set_aside_copies();
   agree();
   fill_common();
-  add_shared_voltmeters();
+  share_voltmeters();
   for (const auto& [k, words] : objections_) object_to(out_.items[k].result, words);
   judge_tray(out_);
   return std::move(out_);
@@ -408,6 +417,15 @@ Covariance18 TrayResult::covariance_of_all_outputs(std::size_t i, std::size_t k)
     return out;
   };
   return product_transposed(product(rows(i), covariance(i, k)), rows(k));
+}
+
+std::optional<Message> why_each_by_itself(std::span<const RunRecord> records) {
+  if (std::ranges::none_of(records, is_at_constant_rate)) return std::nullopt;
+  return Message("at a constant rate each item is evaluated by itself");
+}
+
+Message doubtful_on_its_own() {
+  return Message("doubtful on its own, so that its readings tell nothing of the stage to the others");
 }
 
 void judge_tray(TrayResult& tray) {
@@ -439,7 +457,7 @@ TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& 
 
 /// The checks of the record and the stage, which analyse_tray() adds, do not change the result of one item.
 CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
-  return result_of_one(record, fit_item(record, options), 1);
+  return result_of_one(record, fit_item(record, options));
 }
 
 IntrinsicComparison compare_items(const TrayResult& tray, std::size_t i, std::size_t k) {
@@ -447,8 +465,7 @@ IntrinsicComparison compare_items(const TrayResult& tray, std::size_t i, std::si
     if (!tray.items.at(item).in_common_fit)
       throw std::invalid_argument(
           fmt::format("comparison of items {} and {}: item {} is not in the common fit ({}), so that nothing "
-                      "is known of what "
-                      "the two share; compare the usable ones",
+                      "is known of what the two share; compare the usable ones",
                       i + 1, k + 1, item + 1, tray.items[item].why_not));
   }
   const CalibrationResult& first = tray.items[i].result;

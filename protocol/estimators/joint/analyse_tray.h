@@ -64,8 +64,8 @@ struct TrayResult {
   Verdict verdict = Verdict::kNotUsable;
   Message why{"not analysed"};
   std::vector<TrayItemResult> items;  ///< In the order of the records.
-  std::optional<TrayStage> stage;
-  int iterations = 0;  ///< Iterations of the common fit.
+  std::optional<TrayStage> stage;     ///< Absent for a single item, unless the options ask for it.
+  int iterations = 0;                 ///< Iterations of the common fit.
 
   /// Covariance of the outputs of item i (rows) with those of item k (columns), from 0. Zero where it is not
   /// known because one of two items is not in the common fit.
@@ -77,7 +77,7 @@ struct TrayResult {
 };
 
 /// The joint analysis of the items, one or several, that were measured in one run on one stage
-/// (docs/theory/tray.md). The stage is estimated once from all of them. Every item is first analysed on its
+/// (docs/theory/series.md). The stage is estimated once from all of them. Every item is first analysed on its
 /// own, and its noise is that of its own fit. An item that is doubtful on its own is set aside, so that it
 /// does not spoil the others, as long as one is usable; so is one that contradicts the others about the
 /// stage. One item alone gives the result of analyse_joint().
@@ -85,6 +85,13 @@ struct TrayResult {
 /// @throws std::invalid_argument no records; records that state different sizes of the stage's effects;
 ///         one map of step errors per axis with more than one item; as analyse_joint()
 TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& options = {});
+
+/// Why each item of these records is evaluated by itself, where they are not fitted together. The step errors
+/// of sweeps repeat from sweep to sweep, and the items share them: together they would claim more than they
+/// know.
+std::optional<Message> why_each_by_itself(std::span<const RunRecord> records);
+/// Why an item that is doubtful on its own is not fitted with others.
+Message doubtful_on_its_own();
 
 /// Fills the verdict on the tray and its reason from the results of the items; call it again if one changes.
 void judge_tray(TrayResult& tray);

@@ -152,7 +152,7 @@ EffectSolution solve_effects(std::span<const EffectReading> readings, const Effe
     out.log_likelihoods.push_back(search.points[i].log_likelihood);
   }
   out.white = search.white;
-  average_line(model, groups, lines, out.weights, fit);
+  average_line(model.line_values(), groups, lines, out.weights, fit);
   if (options.white_known) keep_stated_noise(lines.front(), fit);
   AtNoise& best = search.points[search.best()];
   LineAtNoise& line = lines[search.best()];

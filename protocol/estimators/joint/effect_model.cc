@@ -339,15 +339,15 @@ StageInputs EffectModel::inputs_on_the_way(const StagePose& pose, const Eigen::V
   return inputs;
 }
 
-Eigen::RowVectorXd EffectModel::response_by_unknowns(const StagePose& pose, int output) const {
+EffectModel::ResponsesAt EffectModel::responses_by_unknowns(const StagePose& pose) const {
   const GravityAt gravity = gravity_at(pose, inputs_on_the_way(pose, value_));
-  const Eigen::Matrix<double, 1, kStageInputs> by = rows().row(output) * gravity.by_input;
-  Eigen::RowVectorXd out = Eigen::RowVectorXd::Zero(layout_.count());
-  out.segment<3>(Eigen::Index{layout_.own_count()} * output) = gravity.g.transpose();
+  const Eigen::Matrix<double, 3, kStageInputs> by = rows() * gravity.by_input;
+  ResponsesAt out{gravity.g, Eigen::Matrix3Xd::Zero(3, static_cast<Eigen::Index>(layout_.stage.size())),
+                  by.col(moving_angle_input(pose.experiment))};
   for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
     const StageShare share = layout_.stage[k].effect->share(pose, layout_.stage[k].index);
-    out(layout_.first_stage() + static_cast<Eigen::Index>(k)) =
-        by(share.input) * share.value + by(share.second_input) * share.second_value;
+    out.by_stage.col(static_cast<Eigen::Index>(k)) =
+        by.col(share.input) * share.value + by.col(share.second_input) * share.second_value;
   }
   return out;
 }
@@ -358,17 +358,38 @@ void EffectModel::take_uncertainties_of_arrival(const Eigen::MatrixXd& covarianc
   for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
     if (!of_stage.effect->in_motion) stage += std::pow(of_stage.effect->prior(options_.sizes), 2);
   constexpr double kFar = 30.0;
+  // A change of output j depends on its three s and on the stage: of their covariance the root is kept.
+  const auto unknowns = static_cast<Eigen::Index>(layout_.stage.size());
+  std::array<Eigen::MatrixXd, 3> covariance;
+  for (int j = 0; j < 3; ++j) {
+    Eigen::MatrixXd root(3 + unknowns, covariance_root.cols());
+    root << covariance_root.middleRows<3>(Eigen::Index{layout_.own_count()} * j),
+        covariance_root.middleRows(layout_.first_stage(), unknowns);
+    covariance[static_cast<std::size_t>(j)] = covariance_of_root(root);
+  }
+  // The outputs ask for the same poses one after another.
+  std::array<std::pair<const StagePose*, ResponsesAt>, 2> latest{};
+  std::size_t filled = 0;
+  const auto at = [&](const StagePose& pose) -> const ResponsesAt& {
+    for (const auto& [known, response] : latest)
+      if (known == &pose) return response;
+    auto& [known, response] = latest[filled++ % 2];
+    known = &pose;
+    response = responses_by_unknowns(pose);
+    return response;
+  };
   const auto uncertainty = [&](const ResponseChange& change, int output) {
-    const Eigen::RowVectorXd by =
-        response_by_unknowns(change.to, output) - response_by_unknowns(change.from, output);
-    double variance = transposed_product_with_vector(covariance_root, by.transpose()).squaredNorm();
-    for (const StagePose* pose : {&change.to, &change.from}) {
-      const GravityAt gravity = gravity_at(*pose, StageInputs::Zero());
-      const double by_step =
-          rows().row(output).dot(gravity.by_input.col(moving_angle_input(pose->experiment)));
-      variance += step * step * by_step * by_step;
+    Eigen::VectorXd by(3 + unknowns);
+    double variance = 0.0;
+    by.setZero();
+    for (const auto& [pose, weight] : {std::pair{&change.to, 1.0}, {&change.from, -1.0}}) {
+      const ResponsesAt& response = at(*pose);
+      by.head<3>() += weight * response.g;
+      by.tail(unknowns) += weight * response.by_stage.row(output).transpose();
+      variance += step * step * std::pow(response.by_step(output), 2);
     }
-    return std::sqrt(variance);
+    variance += by.dot(product_with_vector(covariance[static_cast<std::size_t>(output)], by));
+    return std::sqrt(std::max(0.0, variance));
   };
   const ArrivalSigns::Responses responses = responses_at(value_);
   arrival_signs_.find(responses);

@@ -84,6 +84,8 @@ class EffectModel {
   /// Derivatives of the three readings of an angle by the eliminated step error of its own, which is
   /// step_factor() times the unknown.
   const Eigen::Vector3d& by_step(std::size_t n) const { return by_step_[n]; }
+  /// The same by the step error itself.
+  Eigen::Vector3d by_own_step(std::size_t n) const { return by_step_[n] / step_factor(n); }
   /// Number of the shared step error of a reading; -1: none.
   int map_of(std::size_t n) const { return layout_.maps > 0 ? readings_[n].map : -1; }
   int experiment_of(std::size_t n) const { return readings_[n].experiment; }
@@ -162,8 +164,13 @@ class EffectModel {
   /// Linear responses of the item at a value of the unknowns, at the stage's positions on its way.
   ArrivalSigns::Responses responses_at(const Eigen::VectorXd& value) const;
   StageInputs inputs_on_the_way(const StagePose& pose, const Eigen::VectorXd& value) const;
-  /// Derivatives of the response of an output by the unknowns at this point, of first order.
-  Eigen::RowVectorXd response_by_unknowns(const StagePose& pose, int output) const;
+  /// Derivatives of the responses of u, v, w at a pose: of first order, at this point.
+  struct ResponsesAt {
+    Eigen::Vector3d g = Eigen::Vector3d::Zero();  ///< By the s of the output.
+    Eigen::Matrix3Xd by_stage;                    ///< By the unknowns of the stage (columns).
+    Eigen::Vector3d by_step = Eigen::Vector3d::Zero();
+  };
+  ResponsesAt responses_by_unknowns(const StagePose& pose) const;
   void take_uncertainties_of_arrival(const Eigen::MatrixXd& covariance_root);
   void use_signs(std::vector<Eigen::Vector3d> mean, const Eigen::MatrixXd& covariance_root);
   /// In a sweep, the two neighbours of reading `n`; the change of the response between them gives the slope

@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// An effect_fit() with its intermediate results, for a fit that continues from it (tray_fit.h).
+/// An effect_fit() with its intermediate results, for a fit that continues from it (measurement_fit.h).
 struct EffectSolution {
   EffectFit fit;
   std::optional<EffectModel> model;     ///< Model at the solution with white noise; refers to the readings.

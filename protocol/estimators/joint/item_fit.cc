@@ -73,23 +73,29 @@ std::vector<Message> hidden_by_process(std::span<const EffectReading> readings, 
 
 }  // namespace
 
+EffectFitOptions fit_options(const CollectedReadings& data, const EffectSizes& sizes,
+                             const JointOptions& options) {
+  EffectFitOptions out{.sizes = sizes,
+                       .measured_alignment = options.measured_alignment,
+                       .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
+                       .drift = options.drift,
+                       .mean_step = options.mean_step,
+                       .noise_process = options.noise_process,
+                       .white_known = data.u_known,
+                       .sweeps = data.sweeps,
+                       .unit = options.unit};
+  if (data.loss > 0.0) {
+    // A first-order low-pass has 1 - c + 1.5 c^2 ...; others have other terms of this size.
+    double& fourth = out.sizes.low_pass_fourth;
+    fourth = std::hypot(fourth, 1.5 * data.loss * data.loss);
+  }
+  return out;
+}
+
 ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
   ItemFit own;
   own.data = collect_readings(record, options.one_map_per_axis);
-  own.options = {.sizes = record.tolerances,
-                 .measured_alignment = options.measured_alignment,
-                 .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
-                 .drift = options.drift,
-                 .mean_step = options.mean_step,
-                 .noise_process = options.noise_process,
-                 .white_known = own.data.u_known,
-                 .sweeps = own.data.sweeps,
-                 .unit = options.unit};
-  if (own.data.loss > 0.0) {
-    // A first-order low-pass has 1 - c + 1.5 c^2 ...; others have other terms of this size.
-    double& fourth = own.options.sizes.low_pass_fourth;
-    fourth = std::hypot(fourth, 1.5 * own.data.loss * own.data.loss);
-  }
+  own.options = fit_options(own.data, record.tolerances, options);
   if (own.data.readings.size() < kFewestAngles) {
     own.why = Message("{angles} usable angles; the joint estimator needs {needed} or more",
                       own.data.readings.size(), kFewestAngles);

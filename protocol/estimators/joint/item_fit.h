@@ -29,6 +29,11 @@ struct ItemFit {
   ~ItemFit() = default;
 };
 
+/// Options of the fit of these readings.
+/// @param sizes  those of the record
+EffectFitOptions fit_options(const CollectedReadings& data, const EffectSizes& sizes,
+                             const JointOptions& options);
+
 /// @throws UnusableData as collect_readings()
 ItemFit fit_item(const RunRecord& record, const JointOptions& options);
 

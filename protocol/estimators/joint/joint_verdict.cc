@@ -216,8 +216,7 @@ Message words_about_noise(const EffectFit& fit, const RunRecord& record) {
   if (!wanders(fit)) return {};
   return Message(
       "the readings of {outputs} wander from angle to angle: {times:.2g} times their uncertainty, correlated "
-      "over some "
-      "{angles:.0f} angles (probability {probability:.3f}); it is in the uncertainties",
+      "over some {angles:.0f} angles (probability {probability:.3f}); it is in the uncertainties",
       record.source.empty() ? Message("this run") : Message("{run}", record.source), fit.noise.tau,
       fit.noise.rho, fit.noise.process_probability);
 }
@@ -255,11 +254,11 @@ Message words_about_chi2(const EffectFit& fit, const JointTests& tests, Diagnost
     return Message("chi2 {chi2:.4g} for {degrees} degrees of freedom (probability {probability:.2g})",
                    fit.chi2, fit.chi2_degrees_of_freedom, above);
   diagnostics.sizes_too_large = std::sqrt(fit.chi2_degrees_of_freedom / fit.chi2);
-  diagnostics.notes.push_back(Message(
-      "chi2 is far below its degrees of freedom: the stated sizes of effects or the uncertainties of the "
-      "readings are too large, {times:.3g} times over all; no uncertainty of the result is made smaller by "
-      "it",
-      *diagnostics.sizes_too_large));
+  diagnostics.notes.push_back(
+      Message("chi2 is far below its degrees of freedom: the stated sizes of effects or the uncertainties of "
+              "the readings are too large, {times:.3g} times over all; no uncertainty of the result is made "
+              "smaller by it",
+              *diagnostics.sizes_too_large));
   if (const Message smaller = smaller_effects(tests.effects); !smaller.empty())
     diagnostics.notes.push_back(Message(
         "stated sizes that are too large, and how many times by what this run shows: {sizes}", smaller));
@@ -274,12 +273,12 @@ void note_drifts(CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& end = result.joint->drift_at_end[j];
     if (!(std::abs(end.value) > kDriftTold * end.standard_uncertainty)) continue;
-    result.diagnostics.notes.push_back(Message(
-        "the offset of {output} drifted: O_{of_output} is its mean over the run; at the end of the run it "
-        "was {change:+.2g} "
-        "{unit} from that (standard uncertainty {uncertainty:.1g} {u_unit}), {significance:.6g} {meaning}",
-        "uvw"[j], "uvw"[j], end.value, end.unit, end.standard_uncertainty, end.unit,
-        result.offset[j].value + end.value, end.unit));
+    result.diagnostics.notes.push_back(
+        Message("the offset of {output} drifted: O_{of_output} is its mean over the run; at the end of the "
+                "run it was {change:+.2g} {unit} from that (standard uncertainty {uncertainty:.1g} "
+                "{u_unit}), {significance:.6g} {meaning}",
+                "uvw"[j], "uvw"[j], end.value, end.unit, end.standard_uncertainty, end.unit,
+                result.offset[j].value + end.value, end.unit));
   }
 }
 
@@ -292,9 +291,7 @@ Message words_of(const EffectTest& test) {
   if (test.instead_of_noise)
     return Message(
         "the readings wander from angle to angle, but {times} times the stated size explains them better "
-        "than "
-        "noise "
-        "({test}; probability below {probability:.1g})",
+        "than noise ({test}; probability below {probability:.1g})",
         test.times_stated, test.key, test.probability);
   return Message("{effect} is {times:.1f} times the stated size ({test}; probability {probability:.1g})",
                  test.name, test.times_stated, test.key, test.probability);
@@ -346,8 +343,7 @@ std::vector<Message> contradictions_of(const JointTests& tests, const std::strin
     if (std::abs(tests.autocorrelation[j]) <= tests.autocorrelation_limit) continue;
     out.push_back(
         Message("successive residuals of {outputs} are correlated ({deviations:.1f} standard deviations): "
-                "the model does not explain "
-                "the readings",
+                "the model does not explain the readings",
                 "uvw"[j], tests.autocorrelation[j]));
   }
   return out;

@@ -54,7 +54,7 @@ void add_share_of_signs(const EffectModel& model, const ShareGroups& groups, Lin
   }
 }
 
-void average_line(const EffectModel& model, ShareGroups groups, std::span<const LineAtNoise> lines,
+void average_line(const Vector12& base, ShareGroups groups, std::span<const LineAtNoise> lines,
                   std::span<const double> weights, EffectFit& fit) {
   Vector12 mean = Vector12::Zero();
   Covariance12 covariance = Covariance12::Zero();
@@ -77,7 +77,7 @@ void average_line(const EffectModel& model, ShareGroups groups, std::span<const 
     if (spread_of_variance(i) > 1e-12 * variance(i) * variance(i))
       fit.degrees_of_freedom(i) = 2.0 * variance(i) * variance(i) / spread_of_variance(i);
   }
-  fit.line = model.line_values() + mean;
+  fit.line = base + mean;
   fit.covariance_line = covariance;
   fit.covariance_line_type_b.setZero();
   for (const EffectShare& share : groups.groups) fit.covariance_line_type_b += share.covariance;

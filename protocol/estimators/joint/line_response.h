@@ -33,8 +33,9 @@ void add_share_of_signs(const EffectModel& model, const ShareGroups& groups, Lin
 
 /// The line response averaged over the noises, with its degrees of freedom and the shares of the priors, into
 /// `fit`; relative units.
+/// @param base     the line response of which the lines state the changes
 /// @param weights  of the lines; their sum is 1
-void average_line(const EffectModel& model, ShareGroups groups, std::span<const LineAtNoise> lines,
+void average_line(const Vector12& base, ShareGroups groups, std::span<const LineAtNoise> lines,
                   std::span<const double> weights, EffectFit& fit);
 
 /// Readings that scatter less than stated may make a noise with a smaller white part probable. No variance of

@@ -226,9 +226,7 @@ NormAgreement compare_norm_with_joint(std::span<const EffectReading> readings, c
         u_norm.segment<3>(3).maxCoeff() < kLargestAngleU)) {
     out.why_not = Message(
         "{angles} angles determine the intrinsic outputs only to {sensitivity:.2g} (sensitivities) and "
-        "{degrees:.2g} degrees by the "
-        "norm "
-        "alone",
+        "{degrees:.2g} degrees by the norm alone",
         readings.size(), u_norm.head<3>().maxCoeff(), u_norm.segment<3>(3).maxCoeff());
     return out;
   }

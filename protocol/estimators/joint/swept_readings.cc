@@ -231,10 +231,8 @@ void require_fast_filter(const CollectedReadings& data) {
   if (!(fastest_radps * time_s * std::exp(-kMarginBeforeS / time_s) > kMostLagLeft)) return;
   throw UnusableData(
       Message("the item's filter is slow for the rotation: at {rate:.0f} degrees/s its response is smaller "
-              "by {percent:.2g} %, "
-              "as behind a low-pass with a time constant of {time:.2g} s, which does not settle before the "
-              "first step; "
-              "required: {required:g} s, or a run in steps",
+              "by {percent:.2g} %, as behind a low-pass with a time constant of {time:.2g} s, which does not "
+              "settle before the first step; required: {required:g} s, or a run in steps",
               Angle::radians(fastest_radps).deg(),
               100.0 * data.loss * std::pow(fastest_radps / kReferenceRate, 2), time_s, kFastTimeS));
 }

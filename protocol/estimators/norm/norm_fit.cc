@@ -299,9 +299,8 @@ void judge_outputs(const Estimate& at, const ScaledPoses& scale, const EffectSiz
   const auto add = [&](const std::string& name, const Quantity& quantity, double unit, Eigen::Index place) {
     JudgedOutput& output = outputs.emplace_back(JudgedOutput{name, quantity, unit, place / 3 == 1, {}});
     const double factor = output.angle ? 1.0 : scale.size * scale.size;
-    for (const NormShare& share : at.solution.shares)
-      output.shares.push_back(
-          {std::string(share.effect), std::string(share.key), factor * share.variance(place)});
+    for (const NormEffectShare& share : at.solution.shares)
+      output.shares.push_back({share.effect, share.key, factor * share.variance(place)});
   };
   for (std::size_t i = 0; i < kIntrinsicSymbols.size(); ++i) {
     const std::size_t j = i % 3;
@@ -366,7 +365,8 @@ void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationR
 }
 
 /// Fills the result from checked poses, except for the source of the poses.
-void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
+void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result,
+              std::optional<NormFit>* fit) {
   const ScaledPoses scale = scaled(poses, sizes.hysteresis);
   Estimate at;
   at.u_known = scale.u_known;
@@ -389,6 +389,9 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
   NormResult& norm = result.norm.emplace();
   norm.poses = static_cast<int>(at.used.size());
   norm.norm_rms = rms;
+  norm.shares = at.solution.shares;
+  for (NormEffectShare& share : norm.shares)
+    for (const Eigen::Index i : {0, 1, 2, 6, 7, 8}) share.variance(i) *= scale.size * scale.size;
   judge_outputs(at, scale, sizes, result, judgement);
   judge_coverage(at, result, judgement);
   list_left_out(poses, at, result, judgement);
@@ -407,6 +410,9 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
     result.verdict = Verdict::kDoubtful;
     result.why = in_sequence(judgement.contradictions);
   }
+  if (fit != nullptr)
+    *fit = NormFit{std::move(at.used), at.model,   std::move(at.solution),
+                   scale.centre,       scale.size, at.scatter_degrees};
 }
 
 void require_enough(std::size_t poses, const EffectSizes& sizes) {
@@ -418,7 +424,8 @@ void require_enough(std::size_t poses, const EffectSizes& sizes) {
       poses));
 }
 
-void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
+void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result,
+                  std::optional<NormFit>* fit = nullptr) {
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const Pose& pose = poses[i];
     if (!pose.reading.allFinite()) {
@@ -431,7 +438,7 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
   }
   try {
     require_enough(poses.size(), sizes);
-    estimate(poses, sizes, result);
+    estimate(poses, sizes, result, fit);
   } catch (const UnusableData& error) {
     result.verdict = Verdict::kNotUsable;
     result.why = error.message();
@@ -465,6 +472,10 @@ struct RecordPoses {
           Message("experiment {experiment}, alpha = {angle:g} degrees", dwell.experiment, dwell.alpha.deg());
     } else if (dwell.role == DwellRole::kCheck) {
       pose.name = Message("check pose {number}", dwell.n);
+    } else if (dwell.first_line > 0) {
+      pose.name = dwell.first_line == dwell.last_line
+                      ? Message("line {number}", dwell.first_line)
+                      : Message("lines {first} to {last}", dwell.first_line, dwell.last_line);
     }
     poses.push_back(std::move(pose));
     dwells.push_back(&dwell);
@@ -510,7 +521,7 @@ CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& s
   return result;
 }
 
-CalibrationResult analyse_norm(const RunRecord& record) {
+CalibrationResult analyse_norm(const RunRecord& record, std::optional<NormFit>* fit) {
   CalibrationResult result;
   result.estimator = "norm";
   result.source = record.source;
@@ -541,7 +552,7 @@ CalibrationResult analyse_norm(const RunRecord& record) {
         Message("{poses} poses without finite readings left out", all.not_finite));
   }
   all.take_signs(record);
-  analyse_into(all.poses, record.tolerances, result);
+  analyse_into(all.poses, record.tolerances, result, fit);
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   add_voltmeter(record.tolerances, result);
   return result;

@@ -1,10 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <optional>
 #include <span>
 #include <string>
+#include <vector>
 
+#include "protocol/estimators/norm/norm_model.h"
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/record/run_record.h"
 
@@ -47,8 +50,20 @@ EffectSizes linear_item(EffectSizes sizes = {});
 /// Too few poses, or poses that do not determine the unknowns, give Verdict::kNotUsable and the reason.
 CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes = linear_item());
 
+/// A solved norm fit, for studies of it. Readings are shifted by `centre` and divided by `size` (R).
+struct NormFit {
+  std::vector<NormPose> poses;  ///< Those that were used.
+  NormModel model;
+  NormSolution solution;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  double size = 1.0;
+  /// Degrees of freedom of the poses' common variance, where the residuals gave it; infinite: it is stated.
+  double scatter_degrees = std::numeric_limits<double>::infinity();
+};
+
 /// Every dwell of a record as a pose (closing angles and check poses too: they are poses like any other),
 /// with the effects of the item at the sizes of the record.
-CalibrationResult analyse_norm(const RunRecord& record);
+/// @param fit  if not null, receives the fit of a result that is usable or doubtful
+CalibrationResult analyse_norm(const RunRecord& record, std::optional<NormFit>* fit = nullptr);
 
 }  // namespace abcal

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -251,6 +252,64 @@ class NormProblem {
     return PivotedQr(scaled_columns(design, scale)).reciprocal_condition();
   }
 
+ public:
+  /// The line response and its derivatives: s row by row, then O.
+  struct Line {
+    Eigen::Matrix3d sensitivity;
+    Eigen::Vector3d offset;
+    Eigen::Matrix<double, 12, Eigen::Dynamic> by_unknown;
+    Eigen::Matrix<double, 9, 1> intrinsic() const {
+      const IntrinsicProperties properties = intrinsic_properties(sensitivity);
+      Eigen::Matrix<double, 9, 1> out;
+      out << properties.sensitivity, properties.angle_deg, offset;
+      return out;
+    }
+  };
+  Line line_at(const Eigen::VectorXd& x) const {
+    const Eigen::Matrix3d s = upper(x).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
+    const Eigen::Vector3d unit = s.rowwise().norm();
+    const Eigen::Matrix3d rows = unit.cwiseInverse().asDiagonal() * s;
+    Line out{s, x.segment<3>(6), Eigen::Matrix<double, 12, Eigen::Dynamic>::Zero(12, count_)};
+    out.by_unknown.leftCols<kBasic>() = by_b(s);
+    for (int j = 0; j < 3; ++j) {
+      double scale = 1.0;
+      for (Eigen::Index k = 0; k < own_; ++k) {
+        const Own& own = effects_[static_cast<std::size_t>(k)];
+        const LineShare share = own.effect->line(rows, j, own.index);
+        const double p = x(column(j, k));
+        scale += share.scale * p;
+        out.offset(j) += unit(j) * share.offset * p;
+        out.by_unknown.block<3, 1>(3 * j, column(j, k)) = share.scale * s.row(j).transpose();
+        out.by_unknown(9 + j, column(j, k)) = unit(j) * share.offset;
+      }
+      out.sensitivity.row(j) *= scale;
+      out.by_unknown.block<3, kBasic>(3 * j, 0) *= scale;
+    }
+    return out;
+  }
+
+  /// The reading at a pose of a known direction.
+  Eigen::Vector3d reading(const NormPose& pose, const Eigen::Vector3d& direction,
+                          const Eigen::VectorXd& x) const {
+    const Eigen::Matrix3d s = upper(x).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
+    const Eigen::Vector3d unit = s.rowwise().norm();
+    const ItemPoint point{pose.t, (s * direction).cwiseQuotient(unit), pose.came_from};
+    Eigen::Vector3d z = point.y;
+    for (int j = 0; j < 3; ++j)
+      for (Eigen::Index k = 0; k < own_; ++k) {
+        const Own& own = effects_[static_cast<std::size_t>(k)];
+        z(j) += own.effect->share(point, j, own.index).value * x(column(j, k));
+      }
+    return x.segment<3>(6) + z.cwiseProduct(unit);
+  }
+
+  std::vector<NormUnknown> unknowns() const {
+    std::vector<NormUnknown> out;
+    for (const Own& own : effects_) out.push_back({own.effect->key, own.prior});
+    return out;
+  }
+
+ private:
   /// Fills the line response, its covariance and gain.
   void finish(NormSolution& out) const {
     out.cofactor = scaled_on_both_sides(factor_.inverse(), scale_);
@@ -265,33 +324,12 @@ class NormProblem {
     constexpr double kRoundOff = 1e-9;
     out.scatter_degrees = 2.0 * out.redundancy - static_cast<double>(weighted_.rows()) +
                           hat.cwiseProduct(hat.transpose()).sum() + kRoundOff;
-    const Eigen::Matrix3d s =
-        upper(out.unknowns).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
-    const Eigen::Vector3d unit = s.rowwise().norm();
-    const Eigen::Matrix3d rows = unit.cwiseInverse().asDiagonal() * s;
-    Eigen::Matrix<double, 12, Eigen::Dynamic> by_unknown =
-        Eigen::Matrix<double, 12, Eigen::Dynamic>::Zero(12, count_);
-    by_unknown.leftCols<kBasic>() = by_b(s);
-    out.line_sensitivity = s;
-    out.line_offset = out.unknowns.segment<3>(6);
-    for (int j = 0; j < 3; ++j) {
-      double scale = 1.0;
-      for (Eigen::Index k = 0; k < own_; ++k) {
-        const Own& own = effects_[static_cast<std::size_t>(k)];
-        const LineShare share = own.effect->line(rows, j, own.index);
-        const double p = out.unknowns(column(j, k));
-        scale += share.scale * p;
-        out.line_offset(j) += unit(j) * share.offset * p;
-        by_unknown.block<3, 1>(3 * j, column(j, k)) = share.scale * s.row(j).transpose();
-        by_unknown(9 + j, column(j, k)) = unit(j) * share.offset;
-      }
-      out.line_sensitivity.row(j) *= scale;
-      by_unknown.block<3, kBasic>(3 * j, 0) *= scale;
-    }
-    const IntrinsicProperties intrinsic = intrinsic_properties(out.line_sensitivity);
-    out.intrinsic << intrinsic.sensitivity, intrinsic.angle_deg, out.line_offset;
+    Line line = line_at(out.unknowns);
+    out.line_sensitivity = line.sensitivity;
+    out.line_offset = line.offset;
+    out.intrinsic = line.intrinsic();
     const Eigen::Matrix<double, 9, Eigen::Dynamic> jacobian =
-        product(intrinsic_jacobian(out.line_sensitivity), by_unknown);
+        product(intrinsic_jacobian(out.line_sensitivity), line.by_unknown);
     out.covariance = carried_covariance(jacobian, out.cofactor);
     const Eigen::MatrixXd by_equation = product(jacobian, out.cofactor);
     out.shares = shares_of(out, by_equation);
@@ -304,11 +342,11 @@ class NormProblem {
   }
 
   /// @param by_equation  derivatives of the outputs by the right side of the normal equations
-  std::vector<NormShare> shares_of(const NormSolution& at, const Eigen::MatrixXd& by_equation) const {
-    std::vector<NormShare> out;
+  std::vector<NormEffectShare> shares_of(const NormSolution& at, const Eigen::MatrixXd& by_equation) const {
+    std::vector<NormEffectShare> out;
     for (Eigen::Index k = 0; k < own_; ++k) {
       const Own& own = effects_[static_cast<std::size_t>(k)];
-      if (own.index == 0) out.push_back({own.effect->name, own.effect->key});
+      if (own.index == 0) out.push_back({std::string(own.effect->name), std::string(own.effect->key)});
       for (int j = 0; j < 3; ++j)
         out.back().variance += (by_equation.col(column(j, k)) / own.prior).cwiseAbs2();
     }
@@ -350,6 +388,33 @@ void find_directions(std::vector<NormPose>& poses) {
       poses[i].came_from(j) = std::abs(change) > 5.0 * noise ? std::copysign(1.0, change) : 0.0;
     }
   }
+}
+
+std::vector<NormUnknown> norm_unknowns(const NormModel& model) {
+  return NormProblem({}, model).unknowns();
+}
+
+Eigen::Vector3d norm_reading(const NormPose& pose, const Eigen::Vector3d& direction,
+                             const Eigen::VectorXd& unknowns, const NormModel& model) {
+  return NormProblem({}, model).reading(pose, direction, unknowns);
+}
+
+Eigen::Matrix<double, 9, 1> norm_outputs(const Eigen::VectorXd& unknowns, const NormModel& model) {
+  return NormProblem({}, model).line_at(unknowns).intrinsic();
+}
+
+Eigen::Matrix<double, 6, 1> norm_triangle(const Eigen::Matrix<double, 6, 1>& intrinsic) {
+  const auto cosine = [&](Eigen::Index k) { return std::cos(intrinsic(3 + k) / kDegrees); };
+  Eigen::Matrix3d gram;
+  gram << 1.0, cosine(0), cosine(2),  //
+      cosine(0), 1.0, cosine(1),      //
+      cosine(2), cosine(1), 1.0;
+  const Eigen::Vector3d size = intrinsic.head<3>();
+  const Eigen::Matrix3d inverse = (size.asDiagonal() * gram * size.asDiagonal()).inverse();
+  const Eigen::Matrix3d b = inverse.llt().matrixU();
+  Eigen::Matrix<double, 6, 1> x;
+  for (std::size_t i = 0; i < 6; ++i) x(static_cast<Eigen::Index>(i)) = b(kRow[i], kColumn[i]);
+  return x;
 }
 
 }  // namespace abcal

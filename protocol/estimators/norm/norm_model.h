@@ -30,13 +30,6 @@ struct NormModel {
   double common_variance = 0.0;  ///< Added to the variance of every pose's norm.
 };
 
-/// Variances that the prior of one effect adds to the nine intrinsic outputs.
-struct NormShare {
-  std::string_view effect;  ///< "k3", "the angles between the axes"
-  std::string_view key;     ///< Key of its size in the bench file.
-  Eigen::Matrix<double, 9, 1> variance = Eigen::Matrix<double, 9, 1>::Zero();
-};
-
 /// Derivatives of the nine intrinsic outputs by the readings of the poses.
 using NormGain = Eigen::Matrix<double, 9, Eigen::Dynamic>;
 
@@ -65,7 +58,8 @@ struct NormSolution {
   Eigen::Matrix<double, 9, 1> intrinsic;
   Covariance9 covariance;
   Covariance9 covariance_of_poses;  ///< The part from the variances of the poses.
-  std::vector<NormShare> shares;    ///< The rest of its diagonal: effects and the angles between the axes.
+  std::vector<NormEffectShare>
+      shares;     ///< The rest of its diagonal: effects and the angles between the axes.
   NormGain gain;  ///< Derivative of `intrinsic` by the readings: 9 x 3 n, u, v, w of each pose.
 };
 
@@ -76,6 +70,24 @@ struct NormSolution {
 /// @throws UnusableData the poses do not determine the unknowns, or the fit does not converge
 NormSolution solve_norm(std::span<const NormPose> poses, const NormModel& model,
                         const Eigen::VectorXd& from = {});
+
+/// An unknown of an effect of the item; each output has one.
+struct NormUnknown {
+  std::string_view key;  ///< Key of its size in the bench file.
+  double prior = 0.0;    ///< Standard deviation.
+};
+/// The unknowns of a model, in the order in which NormSolution::unknowns has them for u, then for v and w.
+std::vector<NormUnknown> norm_unknowns(const NormModel& model);
+
+/// The reading at a pose of a known direction (unit: g_loc), and the nine intrinsic outputs, as the model has
+/// them. @param unknowns  as in NormSolution
+Eigen::Vector3d norm_reading(const NormPose& pose, const Eigen::Vector3d& direction,
+                             const Eigen::VectorXd& unknowns, const NormModel& model);
+Eigen::Matrix<double, 9, 1> norm_outputs(const Eigen::VectorXd& unknowns, const NormModel& model);
+
+/// The six unknowns of B of an item with these sensitivities and angles between its axes.
+/// @param intrinsic  s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree)
+Eigen::Matrix<double, 6, 1> norm_triangle(const Eigen::Matrix<double, 6, 1>& intrinsic);
 
 /// Fills `came_from` of the poses, in the order given: the sign of the change of each reading, 0 where the
 /// change is below five times its uncertainty.

@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "protocol/messages/message.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -26,9 +26,13 @@ struct Quantity {
   double degrees_of_freedom = std::numeric_limits<double>::infinity();
 };
 
+/// The probability with which U = k u covers, wherever one is stated: that of two standard uncertainties of a
+/// normal distribution, 95.45 %.
+inline constexpr double kCoverageProbability = 0.9544997361036416;
+
 /// k for a coverage probability: Student's t for the quantity's degrees of freedom; for 95.45 % it is 2 where
 /// they are infinite. NaN below one degree of freedom.
-double coverage_factor(const Quantity& quantity, double probability = 0.9544997361036416);
+double coverage_factor(const Quantity& quantity, double probability = kCoverageProbability);
 
 /// Whether the numbers may be used. Starts pessimistic.
 enum class Verdict {
@@ -253,12 +257,29 @@ struct StageRecordUse {
   bool agrees = true;
 };
 
+/// How far one result is from another: of the nine outputs that do not depend on the mounting, the one that
+/// differs most.
+struct Apart {
+  std::string estimator;  ///< The estimator of the one result.
+  double in_u = 0.0;      ///< In the root of the sum of both squared standard uncertainties.
+  std::string output;     ///< "O_v"
+};
+
 /// One run of a series of mountings (docs/theory/series.md).
 struct SeriesMember {
   std::string source;                      ///< File of the run.
-  std::string mounting;                    ///< "as in the first run", "turned by 90 degrees about X".
+  Message mounting;                        ///< "as in the first run", "turned by 90 degrees about X".
   std::array<double, 3> small_turn_deg{};  ///< Further turn about x, y, z of the platter.
   Verdict verdict = Verdict::kNotUsable;   ///< Verdict on the run alone.
+  std::vector<Apart> alone;                ///< Results of this run alone, against that of all runs.
+};
+
+/// Variances that the stated size of one effect adds to s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v, O_w.
+struct NormEffectShare {
+  std::string effect;  ///< "k3", "the angles between the axes"
+  std::string key;     ///< Key of its size in the bench file.
+  Eigen::Matrix<double, 9, 1> variance =
+      Eigen::Matrix<double, 9, 1>::Zero();  ///< Squares of R/g_loc, degree, R.
 };
 
 /// Results that only the norm estimator gives.
@@ -269,7 +290,8 @@ struct NormResult {
   std::vector<std::pair<int, double>> left_out;
   double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
   double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
-  Message coverage_words;  ///< The largest gap in the coverage, in words; empty if small.
+  Message coverage_words;               ///< The largest gap in the coverage, in words; empty if small.
+  std::vector<NormEffectShare> shares;  ///< The part of the variances that is of type B.
 };
 
 /// The result of one estimator on one run. The default is not usable.

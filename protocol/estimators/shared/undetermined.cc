@@ -118,10 +118,9 @@ std::vector<Undetermined> undetermined_outputs(std::span<const JudgedOutput> out
       if (one.names.empty()) continue;
       const bool too_large = one.worst > kTooLarge;
       if (k == effects) {
-        out.push_back(
-            {one.words(angles, Message("the readings scatter too much, or are too few to show their scatter. "
-                                       "Measure more of them, or average longer")),
-             too_large});
+        out.push_back({one.words(angles, Message("the readings scatter too much, or are too few to show "
+                                                 "their scatter. Measure more of them, or average longer")),
+                       too_large});
         continue;
       }
       const JudgedShare& share = outputs.front().shares[k];

@@ -78,6 +78,18 @@ VoltmeterShare voltmeter_share(const Eigen::Matrix3d& s, const Eigen::Vector3d& 
   return share;
 }
 
+void add_shared_voltmeters(std::span<const ReadItem> items, Eigen::MatrixXd& covariance) {
+  if (items.size() < 2) return;
+  const auto effect = [](const ReadItem& item) {
+    return effect_of_gain(item.result->sensitivity_values(), item.result->offset_values(), *item.sizes);
+  };
+  for (std::size_t i = 0; i < items.size(); ++i)
+    for (std::size_t k = 0; k < items.size(); ++k)
+      if (share_voltmeter(*items[i].sizes, *items[k].sizes))
+        covariance.block<12, 12>(12 * static_cast<Eigen::Index>(i), 12 * static_cast<Eigen::Index>(k)) +=
+            effect(items[i]) * effect(items[k]).transpose();
+}
+
 bool states_voltmeter(const EffectSizes& sizes) {
   return sizes.voltmeter_gain > 0.0 || sizes.voltmeter_offset > 0.0;
 }

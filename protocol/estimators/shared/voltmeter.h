@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
 
 #include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/plan/effect_sizes.h"
@@ -27,6 +28,17 @@ Eigen::Matrix<double, 12, 1> effect_of_gain(const Eigen::Matrix3d& s, const Eige
 /// Whether one voltmeter reads two items: the gain of both is from the same calibration in the register,
 /// which names one instrument. Its error is then common to them.
 bool share_voltmeter(const EffectSizes& a, const EffectSizes& b);
+
+/// The result of an item, and the sizes that are stated with it.
+struct ReadItem {
+  const CalibrationResult* result;
+  const EffectSizes* sizes;
+};
+/// Adds the gain of a voltmeter that reads several items to the covariance of their outputs: it is not an
+/// unknown of the fit, but common to them. Of one item it is in the covariance already.
+/// @param items       of one fit, each with its voltmeter
+/// @param covariance  of the outputs, 12 for each item
+void add_shared_voltmeters(std::span<const ReadItem> items, Eigen::MatrixXd& covariance);
 
 /// Whether `sizes` state a gain or an offset of the voltmeter.
 bool states_voltmeter(const EffectSizes& sizes);

@@ -40,7 +40,9 @@
     count.textContent = '';
     if (!question.trim()) return;
     const hits = abcalSearch.ask(index, question);
+    const unknown = abcalSearch.unknownWords(index, question);
     count.textContent = hits.length === 0 ? 'No page has these words.' : `${hits.length} pages`;
+    if (hits.length > 0 && unknown.length > 0) count.textContent += `. No page has: ${unknown.join(', ')}`;
     for (const hit of hits.slice(0, 12)) {
       const item = document.createElement('li');
       item.append(linkTo(hit, hit.heading === hit.title ? hit.title : `${hit.title}: ${hit.heading}`), excerpt(hit.text, hit.terms));

@@ -31,6 +31,18 @@ TEST(KeyReferenceTest, ThePageIsWhatTheProgramPrints) {
   EXPECT_EQ(test::read_file(test::source_folder() / "docs/bench_file.md"), bench_file_page());
 }
 
+/// A name that is no key would leave its row out.
+TEST(KeyReferenceTest, ThePageBeginsWithTheKeysThatEveryoneHas) {
+  const std::string page = bench_file_page();
+  const std::size_t from = page.find("## The keys that everyone has");
+  ASSERT_NE(from, std::string::npos);
+  const std::string first = page.substr(from, page.find("\n## ", from) - from);
+  std::size_t rows = 0;
+  for (std::size_t at = first.find("\n| `["); at != std::string::npos; at = first.find("\n| `[", at + 1))
+    ++rows;
+  EXPECT_EQ(rows, 15U);
+}
+
 TEST(KeyReferenceTest, EveryKeyHasAMeaning) {
   for (const BenchKey& key : bench_keys()) {
     EXPECT_FALSE(key.meaning.empty())

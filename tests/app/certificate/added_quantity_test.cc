@@ -69,7 +69,7 @@ TEST_F(AddedQuantityTest, IsInBothTextsOfATerminal) {
 }
 
 TEST_F(AddedQuantityTest, IsOnTheFirstPageAndAmongTheValuesOfTheReport) {
-  const std::string html = document_html(calibration_document(data)).html;
+  const std::string html = document_html(calibration_document(data));
   const std::size_t first = html.find("Mean of the sensitivities");
   ASSERT_NE(first, std::string::npos);
   EXPECT_NE(html.find("Mean of the sensitivities", first + 1), std::string::npos);

@@ -19,9 +19,11 @@
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/schema_check.h"
+#include "app/laboratory/compare/read_certificate.h"
 #include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/uncertainty/budget.h"
 #include "tests/app/certificate/certificate_fixtures.h"
+#include "tests/app/certificate/schematron.h"
 #include "tests/app/certificate/xml_query.h"
 
 namespace abcal {
@@ -104,7 +106,7 @@ TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
   EXPECT_EQ(xml.text("(//dcc:result[@refType='abc_allOutputsPerGravity']//si:ellipsoidalRegionMUXMLList/"
                      "si:coverageFactorXMLList)[1]")
                 .substr(0, 5),
-            "4.585");
+            "4.620");
   // The SI list is the same in m/s2.
   const auto si = xml.numbers("//dcc:result[@refType='abc_offsets']//si:realListXMLList[1]/si:valueXMLList");
   const double in_si = json["offset"][0]["value"].get<double>() * 9.80665;
@@ -112,19 +114,52 @@ TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
   EXPECT_EQ(xml.numbers("//dcc:influenceCondition[@refType='abc_localGravity']//si:value").at(0), 9.80101);
 }
 
-// A sensitivity, an angle and an offset have no unit in common: their correlation stands for the covariance.
-TEST_F(DccTest, CorrelationsAreThoseOfTheCovariance) {
+// Sensitivities and offsets have no unit in common: their covariance is row by row, one list a unit.
+TEST_F(DccTest, TheStateHasTheCovarianceOfAllOutputs) {
   const Certificate made = certificate();
   const CertificateXml xml(xml_text(dcc_document(made)));
-  const Covariance9& nine = *made.run.data.result().covariance_intrinsic;
-  for (Eigen::Index i = 3; i < 9; ++i) {  // Angles and offsets: local gravity has no part in them.
-    const auto row = xml.numbers("//dcc:list[@refType='abc_correlationIntrinsic']/dcc:quantity[" +
-                                 std::to_string(i + 1) + "]//si:valueXMLList");
-    ASSERT_EQ(row.size(), 9U);
-    for (Eigen::Index j = 3; j < 9; ++j)
-      EXPECT_NEAR(row[static_cast<std::size_t>(j)], nine(i, j) / std::sqrt(nine(i, i) * nine(j, j)), 1e-4);
-    EXPECT_EQ(row[static_cast<std::size_t>(i)], 1.0);
-  }
+  const Covariance12 covariance = covariance_of_outputs(made.run.stated, *made.run.stated.result.covariance);
+  const double g = kStandardGravity;  // the output is in g, the state in m/s2
+  const std::string list = "//dcc:list[@refType='abc_stateCovariance']/dcc:quantity";
+  EXPECT_EQ(xml.texts(list + "/dcc:name").size(), 24U);
+  for (Eigen::Index i = 0; i < 12; ++i)
+    for (const bool of_offsets : {false, true}) {
+      const Eigen::Index first = of_offsets ? 9 : 0, size = of_offsets ? 3 : 9;
+      const std::string row = fmt::format("({})[{}]", list, 2 * i + (of_offsets ? 2 : 1));
+      EXPECT_EQ(xml.text(row + "/dcc:name/dcc:content"), kOutputSymbols[static_cast<std::size_t>(i)]);
+      const auto values = xml.numbers(row + "//si:valueXMLList");
+      ASSERT_EQ(std::ssize(values), size);
+      for (Eigen::Index j = 0; j < size; ++j)
+        EXPECT_NEAR(values[static_cast<std::size_t>(j)], g * g * covariance(i, first + j),
+                    1e-11 * g * g * std::sqrt(covariance(i, i) * covariance(first + j, first + j)));
+    }
+  EXPECT_EQ(xml.texts("//dcc:list[@refType='abc_stateCovarianceAsMeasured']").size(), 0U);
+}
+
+// In version 1.1 six laboratories whose stages report no number were "on the same stage (XPS-C8 not stated)".
+TEST_F(DccTest, AStageWithoutASerialNumberIsNoStageThatAnotherHas) {
+  Certificate made = certificate();
+  const auto read = [&] {
+    test::write_file(folder / "a.xml", xml_text(dcc_document(made)));
+    return read_certificate(folder / "a.xml");
+  };
+  EXPECT_EQ(on_same_stage(read(), read()), SameStage::kYes);
+  for (InstrumentIdentity& instrument : made.run.data.run->header.instruments)
+    instrument.serial_number.clear();
+  const ComparedResult first = read();
+  EXPECT_FALSE(first.stage.empty());
+  EXPECT_EQ(first.stage_serial_number, "");
+  EXPECT_EQ(on_same_stage(first, read()), SameStage::kUnknown);
+  EXPECT_EQ(test::read_file(folder / "a.xml").find("not stated</dcc:value>"), std::string::npos);
+  // As 1.1 wrote it.
+  std::string older = test::read_file(folder / "a.xml");
+  const std::size_t at =
+      older.find("</dcc:model>", older.find("abc_stage")) + std::string("</dcc:model>").size();
+  older.insert(at,
+               "<dcc:identifications><dcc:identification><dcc:issuer>manufacturer</dcc:issuer><dcc:value>not "
+               "stated</dcc:value></dcc:identification></dcc:identifications>");
+  test::write_file(folder / "a.xml", older);
+  EXPECT_EQ(read_certificate(folder / "a.xml").stage_serial_number, "");
 }
 
 // The budget in the XML adds up to the uncertainty of each output.
@@ -514,13 +549,6 @@ TEST_F(DccTest, TheSchemaRefusesWhatItMust) {
 
 // ---- programs of others ---------------------------------------------------------------------------------
 
-/// Runs a command of the shell; its exit code and what it wrote.
-std::pair<int, std::string> shell(const std::string& command, const test::TemporaryFolder& where) {
-  const auto log = where / "shell.log";
-  const int status = std::system((command + " > " + log.string() + " 2>&1").c_str());
-  return {status, test::read_file(log)};
-}
-
 TEST_F(DccTest, XmllintFindsItValid) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd/v3.3.0/dcc.xsd");
   if (shell("command -v xmllint", folder).first != 0)
@@ -535,18 +563,8 @@ TEST_F(DccTest, XmllintFindsItValid) {
 
 TEST_F(DccTest, TheSchematronOfThePtbFindsNothing) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/schematron/dcc.svrl");
-  const std::string saxon = "/usr/share/java/Saxon-HE.jar";
-  if (!std::filesystem::exists(saxon) || shell("command -v java", folder).first != 0)
-    GTEST_SKIP() << "Saxon-HE (libsaxonhe-java) or java is not installed";
-  const auto errors_of = [&](const std::string& xml) {
-    test::write_file(folder / "a.xml", xml);
-    const auto [code, said] =
-        shell("java -cp " + saxon + " net.sf.saxon.Transform -s:'" + (folder / "a.xml").string() +
-                  "' -xsl:'" + path.string() + "' -o:'" + (folder / "out.xml").string() + "'",
-              folder);
-    EXPECT_EQ(code, 0) << said;
-    return CertificateXml(test::read_file(folder / "out.xml")).texts("//*[@role='error' or @role='warning']");
-  };
+  if (!has_schematron_reader(folder)) GTEST_SKIP() << "Saxon-HE (libsaxonhe-java) or java is not installed";
+  const auto errors_of = [&](const std::string& xml) { return schematron_errors(xml, path, folder); };
   const std::string good = xml_text(dcc_document(certificate()));
   EXPECT_THAT(errors_of(good), testing::IsEmpty());
   for (unsigned seed = 1; seed <= 3; ++seed) {

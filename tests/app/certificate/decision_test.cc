@@ -1,17 +1,19 @@
 #include "app/laboratory/certificate/decision.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <optional>
 #include <stdexcept>
+
+#include "app/laboratory/certificate/derived.h"
 
 namespace abcal {
 namespace {
-
-using testing::HasSubstr;
 
 SpecificationLimit limit(std::optional<double> lower, std::optional<double> upper) {
   SpecificationLimit made;
@@ -20,6 +22,19 @@ SpecificationLimit limit(std::optional<double> lower, std::optional<double> uppe
   made.lower = lower;
   made.upper = upper;
   return made;
+}
+
+/// Decides from all digits of a value with standard uncertainty u and k = 2.
+Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value, double u,
+                double degrees_of_freedom = std::numeric_limits<double>::infinity()) {
+  Quantity quantity;
+  quantity.value = value;
+  quantity.standard_uncertainty = u;
+  quantity.unit = limit.unit;
+  quantity.degrees_of_freedom = degrees_of_freedom;
+  return decide_printed(
+      rule, limit, quantity,
+      {fmt::format("{}", value), fmt::format("{}", coverage_factor(quantity) * u), std::nullopt});
 }
 
 Conformity with(DecisionKind kind, double factor, double value, double u) {
@@ -62,18 +77,20 @@ TEST(DecisionTest, LimitsOnOneSide) {
   EXPECT_EQ(decide(rule, limit(1.0, {}), 0.0, 0.05).conformity, Conformity::kFail);
 }
 
+constexpr double kMany = std::numeric_limits<double>::infinity();  // degrees of freedom
+
 // Reference: the normal distribution function, from tables (Q(10) to 16 digits).
-TEST(DecisionTest, ConformanceProbabilityIsThatOfTheNormalDistribution) {
-  EXPECT_NEAR(conformance_probability(0.0, 1.0, -1.0, 1.0), 0.6826894921370859, 1e-15);
-  EXPECT_NEAR(conformance_probability(0.0, 1.0, {}, 1.6448536269514722), 0.95, 1e-15);
-  EXPECT_NEAR(conformance_probability(1.0, 1.0, {}, 1.0), 0.5, 1e-16);
+TEST(DecisionTest, ConformanceProbabilityOfAWellKnownUncertaintyIsThatOfTheNormalDistribution) {
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, kMany, -1.0, 1.0), 0.6826894921370859, 1e-15);
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, kMany, {}, 1.6448536269514722), 0.95, 1e-15);
+  EXPECT_NEAR(conformance_probability(1.0, 1.0, kMany, {}, 1.0), 0.5, 1e-16);
   // Far in the tails: no cancellation. Q(10) = 7.61985302416e-24.
-  EXPECT_NEAR(conformance_probability(0.0, 1.0, 10.0, {}) / 7.619853024160527e-24, 1.0, 1e-12);
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, kMany, 10.0, {}) / 7.619853024160527e-24, 1.0, 1e-12);
   EXPECT_NEAR(
-      conformance_probability(0.0, 1.0, 10.0, 11.0) / (7.619853024160527e-24 - 1.9106595744986622e-28), 1.0,
-      1e-12);
-  EXPECT_EQ(conformance_probability(0.5, 0.0, 0.0, 1.0), 1.0);
-  EXPECT_EQ(conformance_probability(1.5, 0.0, 0.0, 1.0), 0.0);
+      conformance_probability(0.0, 1.0, kMany, 10.0, 11.0) / (7.619853024160527e-24 - 1.9106595744986622e-28),
+      1.0, 1e-12);
+  EXPECT_EQ(conformance_probability(0.5, 0.0, kMany, 0.0, 1.0), 1.0);
+  EXPECT_EQ(conformance_probability(1.5, 0.0, kMany, 0.0, 1.0), 0.0);
 }
 
 /// Probability that an item outside +-limit is accepted, for items that scatter with `spread` about the
@@ -87,7 +104,7 @@ double false_acceptance(double tolerance, double acceptance, double u, double sp
     if (std::abs(truth) <= tolerance) continue;
     const double density =
         std::exp(-0.5 * truth * truth / (spread * spread)) / (spread * std::sqrt(2.0 * std::numbers::pi));
-    sum += width * density * conformance_probability(truth, u, -acceptance, acceptance);
+    sum += width * density * conformance_probability(truth, u, kMany, -acceptance, acceptance);
   }
   return sum;
 }
@@ -121,13 +138,62 @@ TEST(DecisionTest, NothingIsDecidedWithoutANumber) {
   EXPECT_THROW(decide({}, limit({}, {}), 0.0, 0.1), std::invalid_argument);
 }
 
-TEST(DecisionTest, TheRuleSaysItsRisk) {
-  DecisionRule rule;
-  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("at most 2.3 %"));
-  rule.guard_factor = 0.83;
-  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("at most 4.8 %"));
-  rule.kind = DecisionKind::kSimple;
-  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("50 %"));
+// References: tables of Student's t; for 2 and 4 degrees of freedom the tail is an algebraic function of t.
+TEST(DecisionTest, ProbabilitiesAreThoseOfStudentsDistribution) {
+  const double t = 1.5;
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, 2.0, -t, t), t / std::sqrt(2.0 + t * t), 1e-14);
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, 2.0, {}, t), 0.5 + 0.5 * t / std::sqrt(2.0 + t * t), 1e-14);
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, 10.0, {}, 2.228138852), 0.975, 1e-9);
+  // U covers 95.45 %, whatever the degrees of freedom.
+  for (const double degrees : {3.0, 21.0, kMany}) {
+    const Decision decision = decide({}, limit(-1.0, 1.0), 0.0, 0.05, degrees);
+    EXPECT_NEAR(conformance_probability(0.0, 0.05, degrees, -decision.expanded_uncertainty,
+                                        decision.expanded_uncertainty),
+                0.9544997361036416, 1e-12)
+        << degrees;
+  }
+}
+
+// One limit far away: one tail of U, 2.28 %. Limits U apart from the only value that is accepted: both tails.
+TEST(DecisionTest, TheRiskIsTheLargestOfTheAcceptedValuesAndCountsBothTails) {
+  for (const double degrees : {3.0, 21.0, kMany}) {
+    const double outside = 1.0 - 0.9544997361036416;
+    EXPECT_NEAR(*decide({}, limit({}, 1.0), 0.5, 0.05, degrees).risk, 0.5 * outside, 1e-12) << degrees;
+    const double expanded = decide({}, limit({}, 1.0), 0.5, 0.05, degrees).expanded_uncertainty;
+    const Decision narrow = decide({}, limit(-expanded, expanded), 0.0, 0.05, degrees);
+    EXPECT_NEAR(*narrow.risk, outside, 1e-9) << degrees;
+    EXPECT_NEAR(narrow.conformance_probability, 1.0 - outside, 1e-9) << degrees;
+    EXPECT_EQ(narrow.conformity, Conformity::kPass);
+    DecisionRule simple;
+    simple.kind = DecisionKind::kSimple;
+    const Decision at_limit = decide(simple, limit(-0.05, 0.05), 0.0, 0.05, degrees);
+    EXPECT_GT(*at_limit.risk, 0.5) << degrees;  // half, and what lies beyond the other limit
+    EXPECT_LT(*at_limit.risk, 0.58) << degrees;
+  }
+}
+
+TEST(DecisionTest, NoDecisionIsPossibleWhereTheGuardBandLeavesNothing) {
+  const Decision two_sided = decide({}, limit(-0.09, 0.09), 0.0, 0.05);
+  EXPECT_EQ(two_sided.conformity, Conformity::kUndecided);
+  EXPECT_FALSE(two_sided.risk || two_sided.lower_acceptance || two_sided.upper_acceptance);
+  EXPECT_EQ(decide({}, limit(-0.09, 0.09), 5.0, 0.05).conformity, Conformity::kUndecided);
+  // A quantity that cannot be negative has a limit on both sides: seen as "acceptance <= -1.5e3 %", FAIL.
+  SpecificationLimit across = limit({}, 1.0);
+  across.quantity = "transverse_sensitivity_u";
+  across.unit = "%";
+  EXPECT_EQ(decide({}, across, 0.5, 0.6).conformity, Conformity::kUndecided);
+  EXPECT_EQ(decide({}, across, 0.5, 0.2).conformity, Conformity::kPass);
+  EXPECT_EQ(decide({}, across, 0.7, 0.2).conformity, Conformity::kFail);
+}
+
+TEST(DecisionTest, EachQuantityHasItsRange) {
+  EXPECT_EQ(range_of_quantity("transverse_sensitivity_u", "%").least, 0.0);
+  EXPECT_EQ(range_of_quantity("intrinsic_angle_uv", "degree").most, 180.0);
+  EXPECT_NEAR(range_of_quantity("misalignment_w", "mrad").most, 500.0 * std::numbers::pi, 1e-9);
+  EXPECT_NEAR(range_of_quantity("non_orthogonality_uv", "mrad").least, -500.0 * std::numbers::pi, 1e-9);
+  EXPECT_TRUE(std::isinf(range_of_quantity("sensitivity_ux", "V/(m/s2)").least));
+  EXPECT_EQ(to_string(range_of_quantity("transverse_sensitivity_u", "%"), "%"), "0 % or more");
+  EXPECT_EQ(to_string(range_of_quantity("misalignment_w", "mrad"), "mrad"), "0 to 1571 mrad");
 }
 
 }  // namespace

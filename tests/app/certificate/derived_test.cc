@@ -12,6 +12,7 @@
 
 #include "app/laboratory/certificate/stated_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -58,7 +59,7 @@ const Eigen::Vector3d kOffset{0.0054, -0.0183, 0.0226};
 std::map<std::string, DerivedQuantity> by_name(const CalibrationResult& result,
                                                const std::vector<SensitivityUnit>& units = {}) {
   std::map<std::string, DerivedQuantity> all;
-  for (const DerivedGroup& group : derive(result, units))
+  for (const DerivedGroup& group : derive(result, {.units = units}))
     for (const DerivedQuantity& quantity : group.quantities)
       all.emplace(quantity.name + " " + quantity.value.unit, quantity);
   return all;
@@ -136,6 +137,42 @@ TEST(DerivedTest, NonOrthogonalityDoesNotChangeWithTheMounting) {
       1.0);
 }
 
+// Seen in version 1.1: mounted "y z x", an item had a transverse sensitivity of 2.7e4 %, and failed.
+TEST(DerivedTest, WhatDependsOnTheMountingIsAboutTheStatedOne) {
+  const auto as_built = by_name(result_of(kMatrix, kOffset));
+  for (const char* mounting : {"y z x", "z x y", "-y x z", "x -z y", "-z -x y", "x -y -z"}) {
+    const Eigen::Matrix3d directions = mounting_matrix(mounting).value();
+    const CalibrationResult mounted = result_of(kMatrix * directions, kOffset);
+    for (const DerivedGroup& group : derive(mounted, {.mounting = directions}))
+      for (const DerivedQuantity& quantity : group.quantities) {
+        if (group.name == "sensitivity") continue;
+        const DerivedQuantity& same = as_built.at(quantity.name + " " + quantity.value.unit);
+        EXPECT_NEAR(quantity.value.value, same.value.value, 1e-9 * (1.0 + std::abs(same.value.value)))
+            << quantity.name << " mounted " << mounting;
+      }
+  }
+}
+
+// Whether the readings tell a direction does not change by chance: near zero both components count.
+TEST(DerivedTest, ASmallTransverseSensitivityHasTheUncertaintyOfBothComponents) {
+  Eigen::Matrix3d s = Eigen::Matrix3d::Identity();
+  const CalibrationResult at_zero = result_of(s, kOffset);
+  const auto& row = (*at_zero.sensitivity_matrix)[0];
+  const double both = std::hypot(row[1].standard_uncertainty, row[2].standard_uncertainty);
+  for (const double part : {0.0, 0.01, 1.9}) {
+    s(0, 1) = part * both;
+    const auto all = by_name(result_of(s, kOffset));
+    EXPECT_NEAR(all.at("transverse_sensitivity_u %").value.standard_uncertainty, 100.0 * both, 1e-2 * both);
+    EXPECT_NEAR(all.at("misalignment_u mrad").value.standard_uncertainty, 1e3 * both, both);
+    EXPECT_TRUE(std::isnan(all.at("transverse_azimuth_u degree").value.value)) << part;
+  }
+  s(0, 1) = 10.0 * both;
+  const auto all = by_name(result_of(s, kOffset));
+  EXPECT_NEAR(all.at("transverse_sensitivity_u %").value.standard_uncertainty,
+              100.0 * row[1].standard_uncertainty, both);  // first order in s_uz, which is 0
+  EXPECT_FALSE(std::isnan(all.at("transverse_azimuth_u degree").value.value));
+}
+
 TEST(DerivedTest, AnAxisWithoutTransverseSensitivityHasNoAzimuthButAnUncertainty) {
   const CalibrationResult result = result_of(Eigen::Matrix3d::Identity(), kOffset);
   const auto all = by_name(result);
@@ -162,7 +199,7 @@ TEST(DerivedTest, UnitsThatACustomerAsksFor) {
 
 TEST(DerivedTest, EveryNameThatLimitsMayUseIsThere) {
   const CalibrationResult result = result_of(kMatrix, kOffset);
-  const StatedResult stated = stated_result(result, {}, {}, false);
+  const StatedResult stated = stated_result(result);
   for (const std::string& name : names_of_quantities()) EXPECT_TRUE(stated_quantity(stated, name)) << name;
   EXPECT_EQ(stated_quantity(stated, "intrinsic_sensitivity_u")->unit, "V/(m/s2)");
   EXPECT_FALSE(stated_quantity(stated, "intrinsic_sensitivity_x"));
@@ -171,8 +208,8 @@ TEST(DerivedTest, EveryNameThatLimitsMayUseIsThere) {
 TEST(DerivedTest, NothingFromAResultWithoutMatrixOrGravity) {
   CalibrationResult result = result_of(kMatrix, kOffset);
   result.g_loc = Quantity{};
-  EXPECT_THROW(derive(result, {}), std::invalid_argument);
-  EXPECT_THROW(derive(CalibrationResult{}, {}), std::invalid_argument);
+  EXPECT_THROW(derive(result), std::invalid_argument);
+  EXPECT_THROW(derive(CalibrationResult{}), std::invalid_argument);
 }
 
 // A larger U by Monte Carlo takes the place of the result's own, in every unit; none becomes smaller.
@@ -190,15 +227,15 @@ TEST(StatedResultTest, ALargerUByMonteCarloIsStated) {
   CertifiedUncertainty made;
   made.mean_squares.topLeftCorner<12, 12>() = *result.covariance;
   for (CertifiedExpanded& one : made.outputs) one = {1.0, {1.0, 1.0}};
-  const StatedResult before = stated_result(result, {}, {}, false);
-  const auto same = stated_result(result, {}, {}, false, &made);
+  const StatedResult before = stated_result(result);
+  const auto same = stated_result(result, {.monte_carlo = &made});
   EXPECT_EQ(*same.result.covariance, *result.covariance);
 
   const double s_ux = 3.0 * (*result.sensitivity_matrix)[0][0].standard_uncertainty;
   const double phi_vw = 2.0 * result.intrinsic_angle[1].standard_uncertainty;
   made.outputs[0] = {1.0, {2.0 * s_ux, 2.0}};
   made.outputs[kFirstIntrinsicAngle + 1] = {1.0, {2.0 * phi_vw, 2.0}};
-  const StatedResult after = stated_result(result, {}, {}, false, &made);
+  const StatedResult after = stated_result(result, {.monte_carlo = &made});
   EXPECT_NEAR((*after.result.sensitivity_matrix)[0][0].standard_uncertainty / s_ux, 1.0, 1e-9);
   EXPECT_NEAR(std::sqrt((*after.result.covariance)(0, 0)) / s_ux, 1.0, 1e-9);
   EXPECT_GE(after.result.intrinsic_angle[1].standard_uncertainty, phi_vw * (1.0 - 1e-9));

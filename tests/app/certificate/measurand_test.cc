@@ -61,7 +61,7 @@ TEST_F(MeasurandTest, TheEquationIsTheOneOfExport) {
   const CertificateRequest asked = request();
   const CalibrationResult& result = asked.run.result();
   const CorrectionConstants exported = constants_of(result, ExportFrame::kPlatter);
-  const CustomerEquation equation = customer_equation(stated_result(result, {}, {}, false)).value();
+  const CustomerEquation equation = customer_equation(stated_result(result)).value();
   // Rounding of products of 12 numbers only.
   EXPECT_LT((equation.covariance - exported.covariance).norm(), 1e-12 * exported.covariance.norm());
   for (Eigen::Index i = 0; i < 9; ++i)
@@ -100,7 +100,7 @@ TEST_F(MeasurandTest, TheCovarianceOfTheEquationIsThatOfDraws) {
   }
   Covariance12 found = Covariance12::Zero();
   for (const Vector12& draw : draws) found += (draw - mean) * (draw - mean).transpose() / (kDraws - 1);
-  const Covariance12 stated = customer_equation(stated_result(result, {}, {}, false)).value().covariance;
+  const Covariance12 stated = customer_equation(stated_result(result)).value().covariance;
   for (Eigen::Index i = 0; i < 12; ++i)
     for (Eigen::Index j = 0; j < 12; ++j) {
       const double scale = std::sqrt(stated(i, i) * stated(j, j));
@@ -115,6 +115,7 @@ TEST_F(MeasurandTest, TheScopeRaisesTheEquationWithTheSensitivities) {
   for (std::size_t j = 0; j < 3; ++j)
     for (std::size_t k = 0; k < 3; ++k)
       (*result.sensitivity_matrix)[j][k].value = j == k ? 0.5 + static_cast<double>(j) : 0.0;
+  for (std::size_t j = 0; j < 3; ++j) result.intrinsic_sensitivity[j].value = 0.5 + static_cast<double>(j);
   ScopeLimit entry;
   entry.quantity = "sensitivity";
   entry.unit = result.response_unit + "/(m/s2)";
@@ -122,7 +123,7 @@ TEST_F(MeasurandTest, TheScopeRaisesTheEquationWithTheSensitivities) {
   entry.to = 1.0;
   entry.cmc = 0.02;
   entry.relative = true;
-  const StatedResult stated = stated_result(result, {}, {entry}, true);
+  const StatedResult stated = stated_result(result, {.scope = {entry}, .accredited = true});
   const CustomerEquation equation = customer_equation(stated).value();
   for (Eigen::Index i = 0; i < 3; ++i) {
     const Quantity& M = equation.M[static_cast<std::size_t>(4 * i)].value;
@@ -156,11 +157,12 @@ TEST_F(MeasurandTest, TheCertificateHasTheEquationWithItsUncertaintyAndCorrelati
       EXPECT_NEAR(U / u, 2.0, 0.2);  // k of the degrees of freedom, and two digits.
     }
   }
-  EXPECT_EQ(xml.texts("//dcc:list[@refType='abc_correlationEquation']/dcc:quantity").size(), 12U);
-  const std::vector<double> correlations =
-      xml.numbers("//dcc:list[@refType='abc_correlationEquation']/dcc:quantity[1]//si:valueXMLList");
-  const double scale = std::sqrt(exported.covariance(0, 0) * exported.covariance(8, 8));
-  EXPECT_NEAR(correlations.at(8), exported.covariance(0, 8) / scale, 1e-4);
+  // M_xu with all of M, in (m/s2 per m/s2)^2 as the output is in g.
+  const std::string of_equation = "//dcc:list[@refType='abc_stateCovarianceEquation']/dcc:quantity";
+  EXPECT_EQ(xml.texts(of_equation + "/dcc:name").size(), 24U);
+  const std::vector<double> covariances = xml.numbers("(" + of_equation + ")[1]//si:valueXMLList");
+  EXPECT_NEAR(covariances.at(8) * kStandardGravity * kStandardGravity, exported.covariance(0, 8),
+              1e-9 * std::sqrt(exported.covariance(0, 0) * exported.covariance(8, 8)));
   EXPECT_THAT(
       xml.text("//dcc:statement[@refType='abc_measurand']"),
       AllOf(HasSubstr("line response"), HasSubstr("slope at zero acceleration"), HasSubstr("temperature")));
@@ -190,6 +192,27 @@ TEST_F(MeasurandTest, TheItemIsTheOneThatAnswered) {
   const Certificate made = draft(std::move(asked));
   EXPECT_THAT(text_of(certificate_page(xml_of(made))),
               HasSubstr("Identity: Read from the instrument: Manufacturer, Type, Serial number."));
+}
+
+// A number that the instrument reported is not the customer's, in either language; each line is refused once.
+TEST_F(MeasurandTest, WhatWasReadIsNotSuppliedByTheCustomer) {
+  CertificateRequest asked = request();
+  RunHeader& header = asked.run.run->header;
+  header.items.front().driver = "microstrain_mip";
+  for (InstrumentIdentity& instrument : header.instruments)
+    if (instrument.role == "accelerometer") instrument = {"accelerometer", "", "", "SN-42", "1", ""};
+  const auto refused = [&](const char* language, const char* supplied) {
+    asked.laboratory.file.language = language;
+    asked.laboratory.file.job.customer_supplied = {supplied};
+    return refusal(asked);
+  };
+  const std::string read = "read from the instrument: ";
+  EXPECT_THAT(refused("en", "Serial number, mounting"), HasSubstr(read + "serial number"));
+  EXPECT_THAT(refused("de", "Seriennummer"), HasSubstr(read + "serial number"));
+  const std::string all = refused("en", "maker, model and serial number");
+  EXPECT_EQ(all.find(read), all.rfind(read));
+  // The customer may supply what nobody read.
+  EXPECT_THAT(refused("en", "manufacturer and type"), Not(HasSubstr(read)));
 }
 
 TEST_F(MeasurandTest, WhatNobodyReadIsSaidToBeStated) {
@@ -233,15 +256,15 @@ TEST_F(MeasurandTest, TheMountingIsPrintedWithItsDrawing) {
 }
 
 TEST(MountingFigure, AnArrowPointsWhereTheMountingHasIt) {
-  // The ends of the arrows on the drawing, from its script: "x y dx dy".
+  // The arrows of the drawing: lines that are not filled, from begin to end; here up is positive.
   const auto arrows = [](const std::string& mounting) {
     const Figure figure = mounting_figure(mounting_matrix(mounting).value(), {"caption"});
     std::vector<Eigen::Vector2d> all;
-    for (std::size_t at = 0; (at = figure.script.find("<< EOD\n", at)) != std::string::npos; ++at) {
-      double x = 0.0, y = 0.0, dx = 0.0, dy = 0.0;
-      if (std::sscanf(figure.script.c_str() + at + 7, "%lf %lf %lf %lf", &x, &y, &dx, &dy) == 4 &&
-          figure.script.find('\n', at + 7) + 1 == figure.script.find("EOD", at + 7))
-        all.emplace_back(dx, dy);
+    for (const auto& element : figure.drawing.elements) {
+      const auto* path = std::get_if<PicturePath>(&element);
+      if (path == nullptr || !path->fill.empty()) continue;
+      const auto& [from, to] = std::pair{path->lines.at(0).front(), path->lines.at(0).back()};
+      all.emplace_back(to[0] - from[0], from[1] - to[1]);
     }
     return all;
   };
@@ -250,7 +273,7 @@ TEST(MountingFigure, AnArrowPointsWhereTheMountingHasIt) {
   ASSERT_EQ(plain.size(), 6U);
   ASSERT_EQ(turned.size(), 6U);
   const Eigen::Vector2d x = plain[3], y = plain[4], z = plain[5];
-  EXPECT_GT(z[1], 0.5) << "z is up";
+  EXPECT_GT(z[1], 20.0) << "z is up";
   EXPECT_NEAR(z[0], 0.0, 1e-9);
   // All axes that are drawn for an output are parallel to that of the platter along which it points.
   const auto parallel = [](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {

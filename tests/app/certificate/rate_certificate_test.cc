@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <nlohmann/json.hpp>
 
 #include "app/document/document_text.h"
 #include "app/laboratory/certificate/business_rules.h"

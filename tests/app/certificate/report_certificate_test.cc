@@ -88,12 +88,14 @@ TEST_F(ReportCertificateTest, AnIncompleteRunGivesADraftOnly) {
                     HasSubstr("the run is not closed")));
 }
 
-TEST_F(ReportCertificateTest, AChangedRunGivesADraftOnly) {
+TEST_F(ReportCertificateTest, AChangedRunGivesNothing) {
   change_run("update dwell set r_u = r_u + 1e-7 where id = 1");
-  const auto refused = abcal({"report", run, "--dcc", "a.xml", "--laboratory", "lab.toml"});
-  EXPECT_EQ(refused.exit_code, 1);
-  EXPECT_THAT(refused.err, HasSubstr("SHA-256"));
-  EXPECT_EQ(abcal({"report", run, "--dcc", "a.xml", "--laboratory", "lab.toml", "--draft"}).exit_code, 0);
+  for (const char* draft : {"--html=a.html", "--draft"}) {
+    const auto refused = abcal({"report", run, "--dcc", "a.xml", "--laboratory", "lab.toml", draft});
+    EXPECT_EQ(refused.exit_code, 1) << draft;
+    EXPECT_THAT(refused.err, HasSubstr("gives no result")) << draft;
+    EXPECT_FALSE(std::filesystem::exists(folder / "a.xml")) << draft;
+  }
 }
 
 TEST_F(ReportCertificateTest, AsFoundAndAsLeftAreTwoResultsOfOneCertificate) {

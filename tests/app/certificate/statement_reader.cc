@@ -18,6 +18,7 @@ namespace abcal::test {
 namespace {
 
 constexpr double kStandard = 9.80665;
+constexpr const char* kNone = "none possible";
 constexpr double kDegreeInRad = std::numbers::pi / 180.0;
 
 void replace(std::string& text, const std::string& from, const std::string& to) {
@@ -49,7 +50,7 @@ class UnitsOfXml {
   }
 
   double factor(const std::string& unit) const {
-    if (!unit.starts_with('|')) return factor_of_words(unit);
+    if (!unit.starts_with('|')) return factor_of_d_si(unit);
     const auto found = definitions_.find(unit);
     if (found == definitions_.end()) throw std::runtime_error("unit " + unit + " is defined nowhere");
     const std::string& words = found->second;
@@ -75,32 +76,6 @@ class UnitsOfXml {
   }
   static double prefix_of(const std::string& output) {
     return output.starts_with("mV") ? 1e-3 : output.starts_with("uV") ? 1e-6 : 1.0;
-  }
-
-  static double factor_of_words(const std::string& unit) {
-    static const std::map<std::string, double> kWords{
-        {"milli", 1e-3},         {"micro", 1e-6}, {"one", 1.0},    {"volt", 1.0},   {"ampere", 1.0},
-        {"metre", 1.0},          {"second", 1.0}, {"radian", 1.0}, {"kelvin", 1.0}, {"percent", 1e-2},
-        {"degree", kDegreeInRad}};
-    double factor = 1.0, prefix = 1.0, last = 1.0;
-    std::istringstream words(unit);
-    for (std::string word; std::getline(words, word, '\\');) {
-      if (word.empty()) continue;
-      if (word.starts_with("tothe{")) {  // It belongs to the unit before it, prefix included.
-        factor *= std::pow(last, std::stoi(word.substr(6)) - 1);
-        continue;
-      }
-      const auto found = kWords.find(word);
-      if (found == kWords.end()) throw std::runtime_error("unit " + unit);
-      if (word == "milli" || word == "micro") {
-        prefix = found->second;
-        continue;
-      }
-      last = prefix * found->second;
-      prefix = 1.0;
-      factor *= last;
-    }
-    return factor;
   }
 
   double g_loc_;
@@ -142,7 +117,7 @@ class XmlReader {
     xmlNode* calibration = last ? all.back() : all.front();
     for (xmlNode* result : xml_.nodes("dcc:results/dcc:result", calibration)) {
       const std::string type = xml_.text("@refType", result);
-      if (type == "abc_correlations" || type == "abc_budget" || type == "abc_shift") continue;
+      if (type == "abc_state" || type == "abc_budget" || type == "abc_shift") continue;
       for (xmlNode* quantity : xml_.nodes("dcc:data/dcc:quantity | dcc:data/dcc:list/dcc:quantity", result)) {
         read_quantity(quantity, "XML " + type, reading);
         if (type == "abc_conformity") read_decision(quantity, reading);
@@ -180,6 +155,7 @@ class XmlReader {
     }
     // In a hybrid the first has the verdict.
     std::string verdict = xml_.text("dcc:measurementMetaData/dcc:metaData/dcc:conformity", quantity);
+    if (verdict.empty() && where == "XML abc_conformity") verdict = kNone;
     for (xmlNode* real : xml_.nodes("si:real | si:hybrid/si:real", quantity)) {
       const double unit = units_.factor(xml_.text("si:unit", real));
       reading.claims.push_back({where, name_of(xml_.text("dcc:name/dcc:content", quantity)),
@@ -242,6 +218,7 @@ class XmlReader {
     const bool tolerated =
         within(value, limit(facts, "toleranceLimitLower", false), limit(facts, "toleranceLimitUpper", false));
     const std::string verdict = xml_.text("dcc:conformity", facts);
+    if (verdict.empty()) return;  // no decision: no acceptance limit either
     const bool agrees = accepted ? verdict == "pass"
                                  : verdict == "fail" || (tolerated ? verdict == "conditionalPass"
                                                                    : verdict == "conditionalFail");
@@ -391,6 +368,8 @@ std::string verdict_of(const std::string& words) {
                                                             {"conditionalFail", "conditionalFail"},
                                                             {"bedingt nicht bestanden", "conditionalFail"},
                                                             {"fail", "fail"},
+                                                            {kNone, kNone},
+                                                            {"nicht möglich", kNone},
                                                             {"nicht bestanden", "fail"}};
   const auto found = kVerdicts.find(words);
   return found == kVerdicts.end() ? std::string() : found->second;
@@ -518,6 +497,32 @@ std::string disagreement(const Claim& a, const Claim& b) {
 
 }  // namespace
 
+double factor_of_d_si(const std::string& unit) {
+  static const std::map<std::string, double> kWords{
+      {"milli", 1e-3},         {"micro", 1e-6}, {"one", 1.0},    {"volt", 1.0},   {"ampere", 1.0},
+      {"metre", 1.0},          {"second", 1.0}, {"radian", 1.0}, {"kelvin", 1.0}, {"percent", 1e-2},
+      {"degree", kDegreeInRad}};
+  double factor = 1.0, prefix = 1.0, last = 1.0;
+  std::istringstream words(unit);
+  for (std::string word; std::getline(words, word, '\\');) {
+    if (word.empty()) continue;
+    if (word.starts_with("tothe{")) {  // It belongs to the unit before it, prefix included.
+      factor *= std::pow(last, std::stoi(word.substr(6)) - 1);
+      continue;
+    }
+    const auto found = kWords.find(word);
+    if (found == kWords.end()) throw std::runtime_error("unit " + unit);
+    if (word == "milli" || word == "micro") {
+      prefix = found->second;
+      continue;
+    }
+    last = prefix * found->second;
+    prefix = 1.0;
+    factor *= last;
+  }
+  return factor;
+}
+
 Reading read_xml(const std::string& xml, bool last) {
   return in_first_terms(XmlReader(xml).read(last));
 }
@@ -547,10 +552,13 @@ Reading read_json(const nlohmann::ordered_json& certificate, const std::string& 
         return times(printed(as_printed.value_or("0")), in_si);
       };
       const auto& conformity = statement.at("conformity");
-      reading.claims.push_back(
-          {"JSON " + type, name_of(statement.at("quantity")), number("value"), number("expanded_uncertainty"),
-           fmt::format("{:.2f}", statement.at("coverage_factor").get<double>()),
-           conformity.is_null() || unit.starts_with('|') ? std::string() : conformity.get<std::string>()});
+      reading.claims.push_back({"JSON " + type, name_of(statement.at("quantity")), number("value"),
+                                number("expanded_uncertainty"),
+                                fmt::format("{:.2f}", statement.at("coverage_factor").get<double>()),
+                                unit.starts_with('|')      ? std::string()
+                                : !conformity.is_null()    ? conformity.get<std::string>()
+                                : type == "abc_conformity" ? std::string(kNone)
+                                                           : std::string()});
       const auto& scope = statement.at("scope");
       reading.marked_outside += scope == "outside" ? 1 : 0;
       reading.marked_raised += scope == "raised" ? 1 : 0;
@@ -569,12 +577,12 @@ Reading read_page(const Document& page, const Reading& xml) {
       const std::string where = "page: " + section.title;
       const bool values = table->columns.size() == 6 && table->columns[3].heading == "k",
                  equation = table->columns.size() == 8 && table->columns[1].heading.starts_with("M_"),
-                 decisions = table->columns.size() == 8 && table->columns[2].heading == "U" && !equation;
+                 decisions = table->columns.size() == 9 && table->columns[2].heading == "U";
       for (const std::vector<std::string>& row : table->rows) {
         if (row.size() == 1) continue;
         if (values) add_claim({row[0], row[1], row[2], row[3], row[5], ""}, where, reading);
         if (equation) add_equation_claims(row, where, reading);
-        if (decisions) add_claim({row[0], row[1], row[2], "", row[3], verdict_of(row[7])}, where, reading);
+        if (decisions) add_claim({row[0], row[1], row[2], "", row[3], verdict_of(row[8])}, where, reading);
       }
     }
   }

@@ -37,6 +37,9 @@ struct Reading {
   int calibrations = 1, decisions = 0, budget_lines = 0, marked_outside = 0, marked_raised = 0;
 };
 
+/// The SI unit's number in one of a unit of D-SI: 1e-3 for "\milli\volt".
+double factor_of_d_si(const std::string& unit);
+
 /// @param last  the last calibration of the certificate; else the first, before adjustment
 Reading read_xml(const std::string& xml, bool last = true);
 

@@ -7,6 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -17,11 +18,14 @@
 #include "app/document/document_html.h"
 #include "app/document/document_text.h"
 #include "app/formats/typed_unit.h"
+#include "app/laboratory/certificate/amendment.h"
 #include "app/laboratory/certificate/business_rules.h"
 #include "app/laboratory/certificate/certificate_json.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/dcc_xml.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/limits.h"
+#include "protocol/plan/mountings.h"
 #include "protocol/uncertainty/budget.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/statement_reader.h"
@@ -79,8 +83,23 @@ struct OutputScale {
   }
 };
 
-/// Draws certificates of one analysed run: other outputs, uncertainties, local gravity, limits, scopes,
-/// estimators, languages, decision rules, before and after adjustment.
+/// The 24 ways to mount an item along the axes of the platter.
+std::vector<Eigen::Matrix3d> all_positions() {
+  std::vector<Eigen::Matrix3d> all;
+  std::array<int, 3> axes{0, 1, 2};
+  do {
+    for (int signs = 0; signs < 8; ++signs) {
+      Eigen::Matrix3d one = Eigen::Matrix3d::Zero();
+      for (int j = 0; j < 3; ++j)
+        one(j, axes[static_cast<std::size_t>(j)]) = (signs >> j) % 2 == 0 ? 1.0 : -1.0;
+      if (one.determinant() > 0.0) all.push_back(one);
+    }
+  } while (std::next_permutation(axes.begin(), axes.end()));
+  return all;
+}
+
+/// Draws certificates of one analysed run: mountings, other outputs, uncertainties, local gravity, limits,
+/// scopes, estimators, languages, decision rules, before and after adjustment.
 class RandomCertificates {
  public:
   RandomCertificates(const ReportData& run, ReadLaboratoryFile laboratory)
@@ -113,6 +132,7 @@ class RandomCertificates {
     }
     request.run.record.g_loc.value_mps2 = g_loc;
     request.run.record.g_loc.expanded_uncertainty_mps2 = 2.0 * u;
+    turn(request.run);
     fill(request.laboratory.file, request.run);
     if (coin()) {
       request.as_found = request.run;
@@ -130,6 +150,30 @@ class RandomCertificates {
   }
 
  private:
+  /// Mounts the item in another of the 24 positions, as the run states it.
+  void turn(ReportData& data) {
+    const Eigen::Matrix3d turned = one_of(positions_);
+    data.record.expected.mounting = mounting_words(turned).value();
+    Covariance12 by = Covariance12::Identity();
+    for (Eigen::Index j = 0; j < 3; ++j) by.block<3, 3>(3 * j, 3 * j) = turned.transpose();
+    for (CalibrationResult& result : data.results) {
+      if (!result.sensitivity_matrix) continue;
+      const auto before = *result.sensitivity_matrix;
+      for (std::size_t j = 0; j < 3; ++j)
+        for (std::size_t k = 0; k < 3; ++k)
+          for (std::size_t from = 0; from < 3; ++from) {
+            const double sign = turned(static_cast<Eigen::Index>(from), static_cast<Eigen::Index>(k));
+            if (sign == 0.0) continue;
+            (*result.sensitivity_matrix)[j][k] = before[j][from];
+            (*result.sensitivity_matrix)[j][k].value *= sign;
+          }
+      for (auto* covariance : {&result.covariance, &result.covariance_type_a, &result.covariance_type_b})
+        if (*covariance) **covariance = Covariance12(by * **covariance * by.transpose());
+    }
+    for (BudgetLine& line : data.budget->lines)
+      line.contribution.head<9>() = by.topLeftCorner<9, 9>().cwiseAbs() * line.contribution.head<9>().eval();
+  }
+
   double between(double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(random_);
   }
@@ -165,7 +209,7 @@ class RandomCertificates {
     file.decision->guard_factor = one_of(std::vector<double>{0.5, 0.83, 1.0, 1.5});
     const CalibrationResult& result = data.result();
     file.units = {TypedUnit{one_of(units_of_kind(result.response_unit)), PerAcceleration::kStandard}.name()};
-    const StatedResult stated = stated_result(result, {}, {}, false);
+    const StatedResult stated = stated_result(result, {.mounting = data.record.expected.mounting});
     file.limits.clear();
     for (std::size_t n = below(8); n > 0; --n) {
       SpecificationLimit limit;
@@ -206,6 +250,7 @@ class RandomCertificates {
 
   ReadLaboratoryFile laboratory_;
   std::vector<ReportData> runs_;
+  std::vector<Eigen::Matrix3d> positions_ = all_positions();
   std::mt19937_64 random_;
 };
 
@@ -277,7 +322,7 @@ class StatementsTest : public CertificateTest {
     for (unsigned seed = first; seed <= last; ++seed) {
       const std::string xml = xml_text(dcc_document(random.draw(seed)));
       const Document page = certificate_page(xml);
-      test::write_file(folder / "a.html", document_html(page).html);
+      test::write_file(folder / "a.html", document_html(page));
       ASSERT_TRUE(shell("cd '" + folder.path().string() +
                         "' && weasyprint a.html a.pdf && pdftotext -layout a.pdf a.txt"));
       const std::vector<test::Reading> in_xml = calibrations_of(xml);
@@ -348,7 +393,9 @@ TEST(PrintedDecisionTest, IsMadeFromThePrintedNumbers) {
   limit.lower = 0.98;
   limit.upper = 1.02;
   const auto decided = [&](const std::string& value) {
-    return decide_printed(rule, limit, {value, "0.00012", -5}, 2.0);
+    Quantity quantity;
+    quantity.unit = "V";
+    return decide_printed(rule, limit, quantity, {value, "0.00012", -5});
   };
   const Decision at = decided("1.01990");  // 1.02 - 0.0000996 = 1.0199004
   EXPECT_EQ(at.conformity, Conformity::kPass);
@@ -361,10 +408,10 @@ TEST(PrintedDecisionTest, IsMadeFromThePrintedNumbers) {
   EXPECT_EQ(decided("1.02000").conformity, Conformity::kConditionalPass);
   EXPECT_EQ(decided("1.02001").conformity, Conformity::kConditionalFail);
   EXPECT_EQ(decided("1.02010").conformity, Conformity::kFail);
-  EXPECT_THROW(decide_printed(rule, SpecificationLimit{}, {"1.0", "0.1", -1}, 2.0), std::invalid_argument);
+  EXPECT_THROW(decide_printed(rule, SpecificationLimit{}, {}, {"1.0", "0.1", -1}), std::invalid_argument);
 }
 
-// ILAC-P14, and C' = D C D: u, covariance, ellipsoid, budget and derived quantities have one uncertainty.
+// ILAC-P14: u, covariance, ellipsoid, budget and derived quantities have one uncertainty, raised once.
 TEST_F(StatementsTest, AScopeRaisesEverythingThatRestsOnIt) {
   const std::string scope =
       "[[scope]]\nquantity = \"sensitivity\"\nunit = \"g/g_loc\"\nfrom = 0.5\nto = 2.0\ncmc = 1e-3\n"
@@ -374,15 +421,20 @@ TEST_F(StatementsTest, AScopeRaisesEverythingThatRestsOnIt) {
                     made = make_certificate(request(replaced(example_laboratory(), "[decision]", scope)));
   const CalibrationResult &before = plain.run.stated.result, &after = made.run.stated.result;
   const Covariance12 &c = *before.covariance, &raised = *after.covariance;
-  for (Eigen::Index i = 0; i < 12; ++i) {
-    EXPECT_GE(raised(i, i), c(i, i) * (1.0 - 1e-12));
-    for (Eigen::Index j = 0; j < 12; ++j)
-      EXPECT_NEAR(raised(i, j) / std::sqrt(raised(i, i) * raised(j, j)),
-                  c(i, j) / std::sqrt(c(i, i) * c(j, j)), 1e-12);
-  }
+  // No combination of the outputs is less uncertain than it was.
+  EXPECT_GE(Eigen::SelfAdjointEigenSolver<Covariance12>(raised - c).eigenvalues().minCoeff(),
+            -1e-12 * raised.trace());
   const Quantity& s_ux = (*after.sensitivity_matrix)[0][0];
-  EXPECT_NEAR(coverage_factor(s_ux) * s_ux.standard_uncertainty, 1e-3, 1e-12);
+  EXPECT_GE(coverage_factor(s_ux) * s_ux.standard_uncertainty, 1e-3 * (1.0 - 1e-9));
   EXPECT_NEAR(std::sqrt(raised(0, 0)), s_ux.standard_uncertainty, 1e-15);
+  // In version 1.1 U of the angle was raised, and that of the same angle from S and its covariance was not.
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(after.sensitivity_values());
+  for (Eigen::Index j = 3; j < 6; ++j) {
+    const Quantity& phi = after.intrinsic_angle[static_cast<std::size_t>(j - 3)];
+    EXPECT_NEAR(coverage_factor(phi) * phi.standard_uncertainty, 0.5, 0.5 * 0.05);
+    EXPECT_NEAR(std::sqrt((jacobian.row(j) * raised).dot(jacobian.row(j))), phi.standard_uncertainty,
+                1e-9 * phi.standard_uncertainty);
+  }
   for (std::size_t j = 0; j < 3; ++j)
     for (const Quantity* one :
          {&after.intrinsic_sensitivity[j], &after.intrinsic_angle[j], &after.offset[j]}) {
@@ -405,6 +457,15 @@ TEST_F(StatementsTest, AScopeRaisesEverythingThatRestsOnIt) {
   EXPECT_EQ(made.run.stated.mark("sensitivity_uy"), ScopeMark::kOutside);
   EXPECT_EQ(made.run.stated.mark("transverse_sensitivity_u"), ScopeMark::kOutside);
   EXPECT_EQ(made.run.stated.mark("non_orthogonality_vw"), ScopeMark::kRaised);
+  // An amendment lists a quantity once, whatever the number of its units.
+  const std::vector<ChangedStatement> changed = changed_statements(xml_text(dcc_document(plain)), xml);
+  for (const char* label : {"s_ux", "s_u", "phi_uv", "covariance"})
+    EXPECT_EQ(std::count_if(changed.begin(), changed.end(),
+                            [&](const ChangedStatement& one) {
+                              return one.name.ends_with(fmt::format(", {}", label));
+                            }),
+              1)
+        << label;
   const Document page = certificate_page(xml);
   const std::string text = document_text(page, stderr);
   EXPECT_THAT(text,

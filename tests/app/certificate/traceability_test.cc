@@ -264,7 +264,8 @@ TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
 TEST_F(TraceabilityTest, WhoMeasuredIsWhoTheEventsSay) {
   CertificateRequest asked = issuable();
   // The operator of the run may approve others, but not this one, whatever name is given as the operator.
-  asked.run.run->events.push_back({asked.run.ended_utc(), "operator stated", "Approver N. N."});
+  asked.run.run->events.push_back(
+      {asked.run.ended_utc(), "operator stated", Message::bare("Approver N. N.")});
   asked.issue->measured_by = "Third P.";
   EXPECT_THAT(refusal(asked),
               AllOf(HasSubstr("a person other than the one who measured"), HasSubstr("Third P.")));
@@ -281,7 +282,8 @@ TEST_F(TraceabilityTest, WithARegisterTheOperatorWasLoggedIn) {
   asked.run.record.g_loc.source = "calibration C-9 of S by I, performed 2026-01-01, due 2027-01-01";
   auto& events = asked.run.run->events;
   std::erase_if(events, [](const RunEvent& event) { return event.kind == "operator stated"; });
-  events.push_back({asked.run.ended_utc(), "operator logged in", "Operator N. N., register 00ff"});
+  events.push_back(
+      {asked.run.ended_utc(), "operator logged in", Message::bare("Operator N. N., register 00ff")});
   EXPECT_EQ(refusal(asked), "");
   const Certificate certificate = make_certificate(asked);
   ASSERT_EQ(certificate.operators.size(), 1U);

@@ -3,23 +3,27 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <libxml/HTMLparser.h>
-#include <libxml/xpath.h>
 
 #include <algorithm>
 #include <array>
 #include <chrono>
-#include <memory>
-#include <set>
+#include <cmath>
+#include <filesystem>
+#include <functional>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "app/document/document_html.h"
 #include "app/document/document_text.h"
 #include "app/document/gnuplot.h"
+#include "app/document/plot.h"
 #include "app/document/valid_text.h"
 #include "app/document/weasyprint.h"
+#include "app/document/write_pdf.h"
 #include "app/system/child_process.h"
+#include "app/system/helper_program.h"
+#include "tests/support/parsed_page.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
@@ -41,34 +45,6 @@ Document small_document() {
   return document;
 }
 
-/// A page as a browser reads it.
-class ParsedPage {
- public:
-  explicit ParsedPage(const std::string& html)
-      : document_(htmlReadMemory(html.data(), static_cast<int>(html.size()), nullptr, "utf-8",
-                                 HTML_PARSE_NONET | HTML_PARSE_NOERROR | HTML_PARSE_NOWARNING),
-                  xmlFreeDoc) {}
-
-  /// The text or attribute values that an XPath expression finds.
-  std::vector<std::string> find(const std::string& path) const {
-    std::vector<std::string> found;
-    const std::unique_ptr<xmlXPathContext, decltype(&xmlXPathFreeContext)> context(
-        xmlXPathNewContext(document_.get()), xmlXPathFreeContext);
-    const std::unique_ptr<xmlXPathObject, decltype(&xmlXPathFreeObject)> result(
-        xmlXPathEvalExpression(reinterpret_cast<const xmlChar*>(path.c_str()), context.get()),
-        xmlXPathFreeObject);
-    for (int i = 0; result && result->nodesetval != nullptr && i < result->nodesetval->nodeNr; ++i) {
-      const std::unique_ptr<xmlChar, decltype(xmlFree)> text(
-          xmlNodeGetContent(result->nodesetval->nodeTab[i]), xmlFree);
-      found.emplace_back(reinterpret_cast<const char*>(text.get()));
-    }
-    return found;
-  }
-
- private:
-  std::unique_ptr<xmlDoc, decltype(&xmlFreeDoc)> document_;
-};
-
 TEST(DocumentHtmlTest, MarkupInATextStaysText) {
   Document document = small_document();
   document.title = document.subtitle = document.identification = document.origin = document.page_mark = kEvil;
@@ -77,7 +53,7 @@ TEST(DocumentHtmlTest, MarkupInATextStaysText) {
       {kEvil,
        {Paragraph{kEvil}, BulletList{{kEvil}}, FactList{{{kEvil, kEvil}}},
         DocumentTable{kEvil, {{kEvil}, {kEvil, CellKind::kSymbol}}, {{kEvil, kEvil}, {kEvil}}}}}};
-  const ParsedPage page(document_html(document).html);
+  const test::ParsedPage page(document_html(document));
   EXPECT_THAT(page.find("//script"), IsEmpty());
   for (const char* path : {"//h1", "//h2", "//p[@class='caution']", "//section/p", "//li", "//caption",
                            "//table[@class='facts']//td[2]", "//th[@class='group']"}) {
@@ -92,8 +68,8 @@ TEST(DocumentHtmlTest, MarkupInATextStaysText) {
 TEST(DocumentHtmlTest, ANameCannotLeaveTheStringOfTheStyleSheet) {
   Document document = small_document();
   document.identification = "\"; } body { display: none } \n\\";
-  const std::string html = document_html(document).html;
-  const std::string style = ParsedPage(html).find("//head/style").at(0);
+  const std::string html = document_html(document);
+  const std::string style = test::ParsedPage(html).find("//head/style").at(0);
   EXPECT_THAT(style, Not(HasSubstr("display: none")));
   EXPECT_THAT(style, HasSubstr("\\22 \\3b \\20 \\7d \\20 body"));
 }
@@ -103,7 +79,7 @@ TEST(DocumentHtmlTest, BytesThatAreNoTextAreShownAsSuch) {
   EXPECT_EQ(valid_text("\xC3\xA4 \xE2\x82\xAC \xF0\x9F\x9B\xB0"), "\xC3\xA4 \xE2\x82\xAC \xF0\x9F\x9B\xB0");
   Document document = small_document();
   document.sections = {{"S", {Paragraph{std::string("nul\0 and \xFF", 10)}}}};
-  EXPECT_THAT(ParsedPage(document_html(document).html).find("//section/p").at(0), HasSubstr("nul"));
+  EXPECT_THAT(test::ParsedPage(document_html(document)).find("//section/p").at(0), HasSubstr("nul"));
 }
 
 TEST(DocumentHtmlTest, SymbolsAndUnitsGetTheirSigns) {
@@ -112,7 +88,7 @@ TEST(DocumentHtmlTest, SymbolsAndUnitsGetTheirSigns) {
                         {DocumentTable{"",
                                        {{"q", CellKind::kSymbol}, {"u", CellKind::kUnit}},
                                        {{"phi_uv", "degree"}, {"s_ux", "g/g_loc"}}}}}};
-  const ParsedPage page(document_html(document).html);
+  const test::ParsedPage page(document_html(document));
   EXPECT_THAT(page.find("//td[@class='symbol']"), ElementsAre("φuv", "sux"));
   EXPECT_THAT(page.find("//td/sub"), ElementsAre("uv", "ux", "loc"));
   EXPECT_THAT(page.find("//td[@class='unit']"), ElementsAre("°", "g/gloc"));
@@ -120,9 +96,9 @@ TEST(DocumentHtmlTest, SymbolsAndUnitsGetTheirSigns) {
 
 // For any text above a table: its second row takes three lines, so that it often does not fit below the
 // first.
-TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
+void expect_no_row_alone(
+    const std::function<void(const Document& document, const std::filesystem::path& pdf)>& print) {
   const Tool kPdfText{"pdftotext", "the test needs", "poppler-utils"};
-  if (!is_installed(kWeasyPrint)) GTEST_SKIP() << "weasyprint is not installed";
   if (!is_installed(kPdfText)) GTEST_SKIP() << "poppler-utils is not installed";
   constexpr int kRows = 12;
   // Lines above the table with which its last or its first row stood alone.
@@ -142,9 +118,8 @@ TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
     document.sections.push_back(std::move(section));
   }
   const test::TemporaryFolder folder;
-  test::write_file(folder / "page.html", document_html(document).html);
-  const std::string page = (folder / "page.html").string(), pdf = (folder / "page.pdf").string();
-  ASSERT_EQ(run_tool_for_words(kWeasyPrint, {"--quiet", page, pdf}, std::chrono::minutes(2)).exit_code, 0);
+  const std::string pdf = (folder / "page.pdf").string();
+  print(document, pdf);
   const std::string shown = (folder / "page.txt").string();
   ASSERT_EQ(run_tool(kPdfText, {"-layout", pdf, shown}), 0);
   const std::string text = test::read_file(shown);
@@ -163,27 +138,89 @@ TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
   EXPECT_GE(broken, 1) << "no table reached the foot of a page";
 }
 
-TEST(DocumentHtmlTest, PicturesOfOnePageDoNotShareIds) {
-  if (!is_installed(kGnuplot)) GTEST_SKIP() << "gnuplot is not installed";
+TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
+  if (!is_installed(kWeasyPrint)) GTEST_SKIP() << "weasyprint is not installed";
+  expect_no_row_alone([](const Document& document, const std::filesystem::path& pdf) {
+    const std::filesystem::path page = std::filesystem::path(pdf).replace_extension(".html");
+    test::write_file(page, document_html(document));
+    ASSERT_EQ(
+        run_tool_for_words(kWeasyPrint, {"--quiet", page.string(), pdf.string()}, std::chrono::minutes(2))
+            .exit_code,
+        0);
+  });
+}
+
+TEST(PaperTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
+  set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
+  expect_no_row_alone([](const Document& document, const std::filesystem::path& pdf) {
+    write_pdf(document, pdf, std::nullopt);
+  });
+}
+
+TEST(DocumentHtmlTest, PicturesHaveNoIdsAndTheirTextsStayTexts) {
   Document document = small_document();
-  const Figure figure{"A & B", "plot x with points pt 6"};
+  const Figure figure{
+      "A & B",
+      plot({{.title = kEvil,
+             .x = {.label = kEvil, .unit = {}},
+             .y = {.label = {}, .unit = kEvil},
+             .series = {{.name = kEvil, .colour = "#000000", .line = true, .x = {0, 1}, .y = {0, 1}}}}},
+           300.0)};
   document.sections = {{"S", {figure, figure}}};
-  const HtmlPage made = document_html(document);
-  EXPECT_THAT(made.warnings, IsEmpty());
-  const ParsedPage page(made.html);
-  const std::vector<std::string> ids = page.find("//@id");
-  EXPECT_GT(ids.size(), 4U);
-  EXPECT_EQ(std::set<std::string>(ids.begin(), ids.end()).size(), ids.size());
-  // Nothing refers to anything: symbols are drawn in place, as WeasyPrint draws no references.
+  const test::ParsedPage page(document_html(document));
+  EXPECT_EQ(page.find("//*[local-name()='svg']").size(), 2U);
+  EXPECT_THAT(page.find("//script"), IsEmpty());
+  EXPECT_THAT(page.find("//@id"), IsEmpty());
   EXPECT_THAT(page.find("//@*[local-name()='href']"), IsEmpty());
+  const std::vector<std::string> texts = page.find("//*[local-name()='text']");
+  EXPECT_EQ(std::count(texts.begin(), texts.end(), kEvil), 2 * 4);
   EXPECT_THAT(page.find("//figcaption"), ElementsAre("Figure 1: A & B", "Figure 2: A & B"));
+}
+
+/// The numbers of an axis at the left, and its label.
+std::vector<std::string> texts_of(const Drawing& drawing) {
+  std::vector<std::string> texts;
+  for (const auto& element : drawing.elements)
+    if (const auto* label = std::get_if<PictureLabel>(&element)) texts.push_back(label->text);
+  return texts;
+}
+
+TEST(PlotTest, AnAxisCountsInAPowerOfTenAndItsMarksAreAtTheirPlaces) {
+  const PlotSeries series{.name = {},
+                          .colour = "#000000",
+                          .mark = PlotMark::kDisc,
+                          .x = {0.0, 5.0, 10.0},
+                          .y = {0.0, 2e-5, std::nan("")},
+                          .half_width = {1e-6, 1e-6, 1e-6}};
+  const Drawing drawing =
+      plot({{.title = "title",
+             .x = {.label = "x", .unit = {}, .low = 0.0, .high = 10.0, .step = 5.0},
+             .y = {.label = "response", .unit = "V", .low = 0.0, .high = 2e-5, .step = 1e-5},
+             .series = {series}}},
+           200.0);
+  EXPECT_THAT(texts_of(drawing),
+              ElementsAre("0", "5", "10", "0", "10", "20", "x", "response (10⁻⁶ V)", "title"));
+  // The first mark is in the corner of the frame, the second above the middle; what is no number is left out.
+  std::vector<PicturePoint> corners, marks;
+  for (const auto& element : drawing.elements) {
+    const auto* path = std::get_if<PicturePath>(&element);
+    if (path == nullptr) continue;
+    if (path->stroke == "#404040") corners = path->lines.front();
+    if (path->fill == "#000000")
+      for (const std::vector<PicturePoint>& outline : path->lines) marks.push_back(outline.front());
+  }
+  ASSERT_EQ(marks.size(), 2U);
+  ASSERT_GE(corners.size(), 4U);
+  EXPECT_NEAR(marks[0][0], corners[0][0], 1e-9);
+  EXPECT_NEAR(marks[0][1], corners[2][1] - 2.5, 1e-9) << "the outline begins above the place";
+  EXPECT_NEAR(marks[1][0], (corners[0][0] + corners[1][0]) / 2.0, 1e-9);
+  EXPECT_NEAR(marks[1][1], corners[0][1] - 2.5, 1e-9);
 }
 
 TEST(GnuplotTest, ATextIsNeverACommand) {
   EXPECT_EQ(gnuplot_quoted("it's `date`\n\"$x\""), "'it''s `date` \"$x\"'");
   if (!is_installed(kGnuplot)) GTEST_SKIP() << "gnuplot is not installed";
-  const std::string svg =
-      draw_svg({"c", "set ylabel " + gnuplot_quoted("`echo run` @x 'q' $y") + "\nplot x"});
+  const std::string svg = draw_svg("set ylabel " + gnuplot_quoted("`echo run` @x 'q' $y") + "\nplot x", 300);
   EXPECT_THAT(svg, HasSubstr("`echo run` @x 'q' $y"));
 }
 

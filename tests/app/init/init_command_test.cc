@@ -120,7 +120,7 @@ TEST_F(InitTest, WritesABenchFileWithWhichACheckPassesAndARunFindsTheTruth) {
   for (const auto& [usual, short_one] :
        std::vector<std::pair<std::string, std::string>>{{"steps = 72", "steps = 12"},
                                                         {"step_deg = 5.0", "step_deg = 30.0"},
-                                                        {"settle_s = 5.0", "settle_s = 0.05"},
+                                                        {"settle_s = \"auto\"", "settle_s = 0.05"},
                                                         {"dwell_readings = 1000", "dwell_readings = 10"},
                                                         {"warm_up_s = 1800.0", "warm_up_s = 0.0"},
                                                         {"stability_s = 60.0", "stability_s = 0.0"}}) {

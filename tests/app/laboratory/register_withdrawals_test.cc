@@ -172,6 +172,32 @@ TEST_P(RegisterWithdrawalsTest, ARecordOfAnyKindIsWithdrawnOnceARunNamesIt) {
   EXPECT_EQ(bad(made), "");
 }
 
+TEST_P(RegisterWithdrawalsTest, ARecordOfAStageIsAddedByWhoApprovesIt) {
+  Register made = with_calibrations();
+  const LoggedIn admin = login(made, "Admin N. N."), approver = login(made, "Approver N. N.");
+  made.add_equipment(admin, {"RECORD-1", "Errors", "Maker", "C-1", "118001234", kStageRecordQuantity, {}},
+                     at(5));
+  Calibration record{"SR-1", "RECORD-1", "Approver N. N.", "2026-01-10", "2026-07-10", sha256_of("r"), {}};
+  made.add_person(admin, {"Keeper N. N.", "technician", "", {Right::kOperate}, {}, {}}, kPassword, at(5),
+                  PasswordCost::kForTests);
+  const LoggedIn keeper = login(made, "Keeper N. N.");
+  EXPECT_THAT(refusal([&] { made.add_calibration(keeper, record, at(6)); }),
+              HasSubstr("the right to approve"));
+  Calibration without = record;
+  without.sha256.clear();
+  without.issuer = "Institute";
+  EXPECT_THAT(refusal([&] { made.add_calibration(approver, without, at(6)); }),
+              AllOf(HasSubstr("the SHA-256 of the record"), HasSubstr("who approves it, Approver N. N.")));
+  made.add_calibration(approver, record, at(6));
+  RegisteredRun run = run_on("a", "1");
+  run.sources.push_back({kCalibrationKind, "SR-1", "118001234", "record of the stage"});
+  const std::string number = issue(made, request_for(run));
+  made.withdraw(admin, kCalibrationKind, "SR-1", "measured warm", at(20));
+  EXPECT_THAT(numbers(made.affected_by("RECORD-1")), ElementsAre(number));
+  EXPECT_FALSE(made.status_of(number)->holds());
+  EXPECT_EQ(bad(made), "");
+}
+
 TEST_P(RegisterWithdrawalsTest, AWithdrawalThatIsRemovedBehindItsBackIsFound) {
   Register made = with_calibrations();
   const std::string number = issue(made, request_for(run_on("a", "1")), "Customer A");

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <random>
 #include <stdexcept>
 #include <string>
@@ -17,8 +18,11 @@
 #include "app/results/planner/write_plan.h"
 #include "app/studies/robustness/robustness_study.h"
 #include "app/studies/robustness/scenario.h"
+#include "protocol/estimators/joint/analyse_joint.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/model/effects.h"
 #include "protocol/record/planned_dwell.h"
+#include "protocol/record/stage_record.h"
 #include "sim/counter_noise.h"
 #include "sim/sim_bench.h"
 
@@ -76,52 +80,6 @@ TEST(PlanPredictionTest, MoreReadingsGiveLessUncertaintyAndTakeLonger) {
   EXPECT_NEAR(many.duration.dwelling_s, 100.0 * few.duration.dwelling_s, 1e-6 * many.duration.dwelling_s);
 }
 
-TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
-  const PlanningBench planned = bench();
-  ProtocolConfig protocol = planned.config.protocol;
-  protocol.steps = 24;
-  protocol.step = Angle::degrees(15.0);
-  protocol.dwell_readings = 100;
-  const PlanPrediction prediction = predict_plan(planned, protocol);
-
-  RunRecord record;
-  record.tolerances = planned.config.items.front().tolerances;
-  record.steps = protocol.steps;
-  record.step = protocol.step;
-  record.expected.nominal_sensitivity = 1.0;
-  const double u = planned.item.noise / 10.0;
-  sim::BenchTruth truth;
-  truth.noise = u;
-  truth.sensitivity_matrix = planned.item.sensitivity_matrix;
-  sim::SimBench world(truth);
-  std::uint64_t i = 0;
-  for (const PlannedAngle& angle : make_rotation_plan(protocol, planned.travel)) {
-    if (angle.check) continue;
-    DwellRecord dwell = planned_dwell(angle);
-    dwell.count = 100;
-    dwell.time_s = 5.0 * static_cast<double>(i);
-    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
-    world.place(StageAxis::kX, angle.x, t);
-    world.place(StageAxis::kZ, angle.z, t);
-    dwell.mean = world.output(t, i++).value;
-    dwell.u_mean = Eigen::Vector3d::Constant(u);
-    record.dwells.push_back(dwell);
-  }
-  const CalibrationResult result = analyse(record, "joint");
-  ASSERT_TRUE(result.sensitivity_matrix);
-  double s = 0.0, O = 0.0, phi = 0.0;
-  for (std::size_t j = 0; j < 3; ++j) {
-    s = std::max(s, (*result.sensitivity_matrix)[j][j].standard_uncertainty);
-    O = std::max(O, result.offset[j].standard_uncertainty);
-    phi = std::max(phi, result.intrinsic_angle[j].standard_uncertainty);
-  }
-  // The noise process is estimated from the readings of one run, which varies its uncertainties by some per
-  // cent.
-  EXPECT_NEAR(s / prediction.u[0], 1.0, 0.1);
-  EXPECT_NEAR(O / prediction.u[2], 1.0, 0.1);
-  EXPECT_NEAR(phi / prediction.u[3], 1.0, 0.1);
-}
-
 /// The worst u of each group of a result over the sensitivity, as predictions have it, and the fewest degrees
 /// of freedom.
 struct Stated {
@@ -146,6 +104,194 @@ Stated stated(const CalibrationResult& result) {
     add(PlannedOutput::kAngle, result.intrinsic_angle[j], 1.0);
   }
   return found;
+}
+
+/// A run of the planned item on an ideal stage, with the planned noise.
+RunRecord simulated_record(const PlanningBench& planned, const ProtocolConfig& protocol, std::uint64_t seed) {
+  RunRecord record;
+  record.tolerances = planned.config.items.front().tolerances;
+  record.steps = protocol.steps;
+  record.step = protocol.step;
+  record.expected.nominal_sensitivity = 1.0;
+  const double u = planned.item.noise / std::sqrt(protocol.dwell_readings);
+  sim::BenchTruth truth;
+  truth.seed = seed;
+  truth.noise = u;
+  truth.sensitivity_matrix = planned.item.sensitivity_matrix;
+  sim::SimBench world(truth);
+  std::uint64_t i = 0;
+  for (const PlannedAngle& angle : make_rotation_plan(protocol, planned.travel)) {
+    if (angle.check) continue;
+    DwellRecord dwell = planned_dwell(angle);
+    dwell.count = protocol.dwell_readings;
+    dwell.time_s = 5.0 * static_cast<double>(i);
+    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
+    world.place(StageAxis::kX, angle.x, t);
+    world.place(StageAxis::kZ, angle.z, t);
+    dwell.mean = world.output(t, i++).value;
+    dwell.u_mean = Eigen::Vector3d::Constant(u);
+    record.dwells.push_back(dwell);
+  }
+  return record;
+}
+
+ProtocolConfig with_circles(ProtocolConfig protocol, int steps, int faces, int readings) {
+  protocol.steps = steps;
+  protocol.step = Angle::degrees(360.0 / steps);
+  protocol.faces = faces;
+  protocol.dwell_readings = readings;
+  return protocol;
+}
+
+TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
+  const PlanningBench planned = bench();
+  const ProtocolConfig protocol = with_circles(planned.config.protocol, 24, 1, 100);
+  const PlanPrediction prediction = predict_plan(planned, protocol);
+  const CalibrationResult result =
+      analyse(simulated_record(planned, protocol, sim::BenchTruth{}.seed), "joint");
+  ASSERT_TRUE(result.sensitivity_matrix);
+  const PlannedValues u = stated(result).u;
+  // The noise process is estimated from the readings of one run, which varies its uncertainties by some per
+  // cent.
+  EXPECT_NEAR(u[0] / prediction.u[0], 1.0, 0.1);
+  EXPECT_NEAR(u[2] / prediction.u[2], 1.0, 0.1);
+  EXPECT_NEAR(u[3] / prediction.u[3], 1.0, 0.1);
+}
+
+/// A dozen plans by lot.
+struct DrawnPlan {
+  PlanningBench planned;
+  ProtocolConfig protocol;
+};
+std::vector<DrawnPlan> drawn_plans() {
+  constexpr int kPlans = 12;
+  std::mt19937_64 random(20270114);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::vector<DrawnPlan> plans;
+  for (int k = 0; k < kPlans; ++k) {
+    PlanningBench planned = bench(1e-5 * std::pow(30.0, uniform(random)));
+    const auto draw = [&](const auto& list) {
+      return list[static_cast<std::size_t>(uniform(random) * static_cast<double>(list.size()))];
+    };
+    const int faces = uniform(random) < 0.5 ? 1 : 2;
+    const int steps = faces == 1 ? draw(kTriedSteps) : draw(kTriedInTwoFaces);
+    const int readings = static_cast<int>(20.0 * std::pow(500.0, uniform(random)));
+    planned.config.protocol.check_poses = false;  // simulated_record() has none.
+    plans.push_back({planned, with_circles(planned.config.protocol, steps, faces, readings)});
+  }
+  return plans;
+}
+
+// Both are the same least squares: they differ only in where they are linearised, and where the signs of the
+// hysteresis are taken, at the true item and at the one that is found. That is of second order.
+TEST(PlannedCirclesTest, FisherInformationIsTheWholeAnalysisOfWhiteNoise) {
+  JointOptions white;
+  white.noise_process = false;
+  std::uint64_t seed = 1;
+  for (const DrawnPlan& drawn : drawn_plans()) {
+    const RunRecord record = simulated_record(drawn.planned, drawn.protocol, seed++);
+    const PlannedValues whole = stated(analyse_joint(record, white)).u;
+    const PlannedValues fisher =
+        PlannedCircles(drawn.planned, drawn.protocol).u(drawn.protocol.dwell_readings);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+      EXPECT_NEAR(fisher[group] / whole[group], 1.0, 0.005)
+          << symbol_of(static_cast<PlannedOutput>(group)) << ", " << drawn.protocol.steps << " steps, "
+          << drawn.protocol.faces << " faces, " << drawn.protocol.dwell_readings << " readings of "
+          << drawn.planned.item.noise;
+  }
+}
+
+// The whole analysis does not know that the noise is white. It averages variances over white noise (weight w)
+// and processes, and states the spread of these variances as degrees of freedom nu: sd = variance sqrt(2/nu).
+// The mean of a distribution is above one of its values that has the weight w by at most sd sqrt((1 - w)/w).
+// (The degrees of freedom of an intrinsic angle are those of the elements that it is made of, not its own.)
+TEST(PlannedCirclesTest, TheWholeAnalysisStatesMoreByTheNoiseProcessThatItMayFind) {
+  constexpr double kSecondOrder = 0.01;  // The 0.005 of a u above, for a variance.
+  std::uint64_t seed = 1;
+  double most = 0.0;
+  for (const DrawnPlan& drawn : drawn_plans()) {
+    const CalibrationResult whole = analyse(simulated_record(drawn.planned, drawn.protocol, seed++), "joint");
+    const PlannedValues fisher =
+        PlannedCircles(drawn.planned, drawn.protocol).u(drawn.protocol.dwell_readings);
+    const Stated found = stated(whole);
+    const double process = whole.joint->process_probability;
+    for (const PlannedOutput output :
+         {PlannedOutput::kSensitivity, PlannedOutput::kOffDiagonal, PlannedOutput::kOffset}) {
+      const auto group = static_cast<std::size_t>(output);
+      const double excess = 1.0 - std::pow(fisher[group] / found.u[group], 2);
+      const double limit = std::sqrt(2.0 / found.degrees_of_freedom[group] * process / (1.0 - process));
+      EXPECT_GT(excess, -kSecondOrder) << symbol_of(output);
+      EXPECT_LT(excess, limit + kSecondOrder) << symbol_of(output);
+      most = std::max(most, limit);
+    }
+  }
+  // The search leaves the process out: this is what it costs, 5 % of u at most (10 % of its square).
+  RecordProperty("largest_excess_of_variance", std::to_string(most));
+  EXPECT_LT(most, 0.1);
+}
+
+/// A record that knows a stage at the angles of 24 steps: each unknown ten times better than stated, with the
+/// others in common for a third of its variance; visits repeat to 0.0005 degrees, the rest to a tenth.
+StageRecordInUse record_of_24_angles(const EffectSizes& sizes) {
+  auto record = std::make_shared<StageRecord>();
+  record->sizes = sizes;
+  std::vector<double> sd;
+  for (const StageEffect& effect : stage_effects()) {
+    for (int i = 0; i < effect.count && !effect.in_motion && effect.prior(sizes) > 0.0; ++i) {
+      record->state.names.push_back(unknown_name(effect, i));
+      sd.push_back(0.1 * effect.prior(sizes));
+    }
+  }
+  for (const int experiment : {1, 3}) {
+    for (int n = 0; n < 24; ++n) {
+      record->state.angles.push_back(visited_angle(experiment, Angle::degrees(15.0 * n)));
+      sd.push_back(0.1 * step_prior(sizes));
+    }
+  }
+  const Eigen::Map<const Eigen::VectorXd> each(sd.data(), static_cast<Eigen::Index>(sd.size()));
+  record->state.mean = Eigen::VectorXd::Zero(each.size());
+  record->state.covariance = each * each.transpose() / 3.0;
+  record->state.covariance.diagonal() += 2.0 / 3.0 * each.cwiseAbs2();
+  for (const RepeatPart part : kAllRepeatParts)
+    record->repeatabilities[static_cast<std::size_t>(part)] = half_normal(
+        part == RepeatPart::kStep ? Angle::degrees(0.0005).rad() : 0.1 * stated_size(sizes, part));
+  record->growth = half_normal(0.0);
+  record->learnings.push_back({.utc = "2026-01-01T00:00:00Z", .by = "", .runs = {}});
+  return {record, 0.0};
+}
+
+// 14 steps visit angles that the record does not know. The fit with a record takes the most probable noise.
+TEST(PlannedCirclesTest, ARecordOfTheStageIsItsPriorAsInTheAnalysis) {
+  PlanningBench planned = bench(3e-5);
+  planned.config.protocol.check_poses = false;
+  const PlanningBench without = planned;
+  planned.stage_record = record_of_24_angles(planned.config.items.front().tolerances);
+  for (const auto& [steps, faces] : {std::pair{12, 1}, {14, 1}, {24, 1}, {24, 2}, {72, 1}}) {
+    const ProtocolConfig protocol = with_circles(planned.config.protocol, steps, faces, 400);
+    RunRecord record = simulated_record(planned, protocol, 5);
+    record.stage_record = planned.stage_record;
+    const CalibrationResult whole = analyse(record, "joint");
+    ASSERT_EQ(whole.joint->process_tau, 0.0);
+    const PlannedValues fisher = PlannedCircles(planned, protocol).u(400);
+    const PlannedValues of_whole = stated(whole).u;
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+      EXPECT_NEAR(fisher[group] / of_whole[group], 1.0, 0.005)
+          << symbol_of(static_cast<PlannedOutput>(group)) << ", " << steps << " steps";
+    EXPECT_LT(fisher[2], 0.9 * PlannedCircles(without, protocol).u(400)[2]);
+  }
+}
+
+TEST(PlannedCirclesTest, AgreesWithThePredictionByWholeAnalyses) {
+  for (DrawnPlan& drawn : drawn_plans()) {
+    drawn.planned.config.protocol.check_poses = drawn.protocol.check_poses = true;
+    const PlannedValues whole = predict_plan(drawn.planned, drawn.protocol).u;
+    const PlannedValues fisher =
+        PlannedCircles(drawn.planned, drawn.protocol).u(drawn.protocol.dwell_readings);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+      EXPECT_GT(whole[group] / fisher[group], 0.995) << symbol_of(static_cast<PlannedOutput>(group));
+      EXPECT_LT(whole[group] / fisher[group], 1.05) << symbol_of(static_cast<PlannedOutput>(group));
+    }
+  }
 }
 
 /// Prediction of `abcal plan --noise RUN`: an earlier run on the same bench gives the item's properties and
@@ -279,6 +425,22 @@ TEST(PlanSearchTest, TheShortestPlanReachesWhatIsWantedAndAShorterDwellDoesNot) 
   EXPECT_LE(worst_ratio(best->u, wanted), 1.01);
 }
 
+// The wanted values are just those that the Fisher information promises of 100 readings: the check shows that
+// they do not suffice.
+TEST(PlanSearchTest, APlanThatTheCheckFindsTooShortGetsMoreReadings) {
+  const PlanningBench planned = bench();
+  ProtocolConfig protocol = planned.config.protocol;
+  protocol.steps = kTriedSteps.front();
+  protocol.step = Angle::degrees(360.0 / kTriedSteps.front());
+  const WantedValues wanted{PlannedCircles(planned, protocol).u(100)[0], {}, {}, {}};
+  const FoundPlan found = PlanSearch(planned).shortest(wanted);
+  ASSERT_TRUE(found.plan);
+  EXPECT_GT(found.excess[0], 1.0);
+  EXPECT_GT(found.plan->protocol.dwell_readings, found.readings_checked);
+  EXPECT_LE(found.plan->u[0], *wanted[0]);
+  EXPECT_NEAR(found.plan->u[0] / predict_plan(planned, found.plan->protocol).u[0], 1.0, 0.002);
+}
+
 TEST(PlanSearchTest, ATimeIsUsedWhateverSettlingAndTheMainsMakeOfIt) {
   PlanningBench by_outputs = bench();
   by_outputs.config.protocol.settle_auto = true;
@@ -299,23 +461,6 @@ TEST(PlanSearchTest, WhatCannotBeReachedIsSaidWithTheEffectThatForbidsIt) {
   ASSERT_EQ(found.out_of_reach.size(), 1U);
   EXPECT_THAT(found.out_of_reach[0],
               AllOf(HasSubstr("off: 1e-07 is wanted"), HasSubstr("% of its variance is ")));
-}
-
-TEST(PlanSearchTest, TheProgressOfAQuestionGrowsToItsEnd) {
-  std::vector<double> parts;
-  PlanSearch search(bench(), [&](double part) { parts.push_back(part); });
-  ASSERT_TRUE(search.shortest(published_wanted()).plan);
-  const std::size_t predictions = parts.size();
-  EXPECT_TRUE(std::is_sorted(parts.begin(), parts.end()));
-  EXPECT_GT(parts.front(), 0.0);
-  EXPECT_LE(parts.back(), 1.0);
-  // The usual number of predictions is of this order, so that the time left is.
-  EXPECT_GT(predictions, PlanSearch::kPredictionsOfShortest / 4);
-  EXPECT_LT(predictions, PlanSearch::kPredictionsOfShortest * 2);
-  parts.clear();
-  ASSERT_TRUE(search.best_within(600.0, published_wanted()));
-  EXPECT_TRUE(std::is_sorted(parts.begin(), parts.end()));
-  EXPECT_NEAR(parts.back(), 1.0, 1e-12);
 }
 
 // In ten minutes six circles determine what three do not. In six the further moves cost more than they gain.

@@ -31,7 +31,7 @@ class BacklashNoteTest : public ProgramTest {
     return nlohmann::json::parse(plan.out).at("notes");
   }
   void run_and_report() {
-    const ProgramResult made = abcal({"run", "bench.toml", "-o", "a.run"});
+    const ProgramResult made = abcal({"run", "bench.toml", "-o", "a.run", "--full"});
     ASSERT_EQ(made.exit_code, 0) << made.err;
     told_by_run = made.out;
     const ProgramResult report = abcal({"report", "a.run", "--html", "a.html", "--csv", "a.csv"});
@@ -50,12 +50,14 @@ TEST_F(BacklashNoteTest, EveryPlaceSaysThatBacklashIsNotTakenOut) {
   EXPECT_THAT(notes_of_plan(), Contains(HasSubstr(words)));
   ASSERT_NO_FATAL_FAILURE(run_and_report());
   EXPECT_THAT(test::unwrapped(told_by_run), HasSubstr(words));
-  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run"}).out), HasSubstr(words));
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run", "--full"}).out), HasSubstr(words));
   EXPECT_THAT(page, AllOf(HasSubstr(words), HasSubstr(not_covered)));
   EXPECT_THAT(abcal({"uncertainty", "a.run", "--trials", "1000"}).out, HasSubstr(not_covered));
-  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run", "--estimator", "norm"}).out), Not(HasSubstr(words)))
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.run", "--estimator", "norm", "--full"}).out),
+              Not(HasSubstr(words)))
       << "uses no angles";
-  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.csv"}).out), HasSubstr(words)) << "its CSV states it";
+  EXPECT_THAT(test::unwrapped(abcal({"analyse", "a.csv", "--full"}).out), HasSubstr(words))
+      << "its CSV states it";
 }
 
 TEST_F(BacklashNoteTest, ARunThatApproachesFromBelowSaysNothing) {

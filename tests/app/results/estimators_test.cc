@@ -53,6 +53,7 @@ TEST(EstimatorsTest, ARefusalIsAVerdictAndAnyOtherExceptionIsNot) {
 
 TEST(EstimatorsTest, TheDeclaredEstimatorIsFirstAndThePublishedOneWhereNoneWasDeclared) {
   RunRecord record;
+  record.dwells.emplace_back().experiment = 1;  // Without angles only the norm is left.
   EXPECT_EQ(declared_estimator(record).name, "abc");
   EXPECT_EQ(analyse_all(record).front().estimator, "abc");
   record.estimator = "joint";

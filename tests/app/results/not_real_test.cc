@@ -16,9 +16,10 @@ using testing::IsEmpty;
 
 BenchConfig on_ports(const StageCase& stage, const AccelerometerCase& accelerometer,
                      const std::string& port) {
-  const std::string three = port == "simulated" ? port : port + " " + port + "v " + port + "w";
+  const std::string of_item = port == "simulated" ? port : port + "u";
+  const std::string three = port == "simulated" ? port : of_item + " " + port + "v " + port + "w";
   return parse_bench(bench_text(stage, accelerometer, port, port, port == "simulated" ? port : port + "z",
-                                accelerometer.name == "scpi_single" ? three : port),
+                                accelerometer.name == "scpi_single" ? three : of_item),
                      "bench");
 }
 

@@ -9,7 +9,7 @@
 
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/recompute.h"
-#include "protocol/record/import_csv.h"
+#include "protocol/record/import_table.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -46,7 +46,7 @@ TEST_F(OtherFileTest, ABenchFileIsCalledOneWhateverItsName) {
   for (const char* name : {"bench.toml", "bench.txt"}) {
     const std::filesystem::path path = file(name, bench);
     EXPECT_EQ(loaded(path), path.string() +
-                                ": is a bench file; required: a run file (.run) or averaged readings as CSV. "
+                                ": is a bench file; required: a run file (.run) or a table of readings. "
                                 "`abcal run " +
                                 path.string() + "` measures a run");
     EXPECT_THAT(words([&] { verify_and_recompute(path); }),
@@ -68,7 +68,7 @@ TEST_F(OtherFileTest, XmlJsonAndOtherTomlAreCalledWhatTheyAre) {
 TEST_F(OtherFileTest, ACsvIsReadOrRefusedAsOne) {
   for (const char* text :
        {"", "experiment,n\n1,1\n", "# g_loc_mps2 = 9.81\nexperiment,n\n1,1\n", "# a = 1\n", "a=b,c\n"})
-    EXPECT_THROW(load_record(file("readings.csv", text)), CsvError) << text;
+    EXPECT_THROW(load_record(file("readings.csv", text)), TableError) << text;
   EXPECT_THAT(words([&] { verify_and_recompute(folder.path() / "absent.toml"); }), HasSubstr("no such file"));
 }
 

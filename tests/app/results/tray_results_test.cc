@@ -40,7 +40,7 @@ class TrayResultsTest : public testing::Test {
         if (k < 3 || n < kDroppedAt)
           dwells.push_back({k, tray.records[static_cast<std::size_t>(k - 1)].dwells[n], {}});
       }
-      if (n == kDroppedAt) file.drop_item(3, n, "2026-03-01T10:00:00Z", "it fell silent");
+      if (n == kDroppedAt) file.drop_item(3, n, "2026-03-01T10:00:00Z", Message("it fell silent"));
       file.append_dwells(n, dwells, {});
     }
   }

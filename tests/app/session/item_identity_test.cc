@@ -210,7 +210,7 @@ TEST_F(ItemOnTheBench, TheCheckComparesIt) {
   };
   const auto of_item = [](const std::vector<Finding>& all) {
     for (const Finding& finding : all)
-      if (finding.what == kItemFinding) return finding;
+      if (finding.what == kItemFinding.english()) return finding;
     return Finding{};
   };
   const Finding good = of_item(findings(bench("model = \"3DM-GV7\"\n")));

@@ -108,16 +108,17 @@ class NotifierTest : public testing::Test {
 };
 
 TEST_F(NotifierTest, FaultsAndTheEndAreMessagesAndNothingElse) {
-  EXPECT_EQ(message_of(PortLostEvent{"/dev/ttyUSB0 vanished"})->at("event"), "port_lost");
-  EXPECT_EQ(message_of(PortBackEvent{"it is back"})->at("event"), "port_back");
-  EXPECT_EQ(message_of(NoticeEvent{"watchdog", "the stage was halted"})->at("text"), "the stage was halted");
-  EXPECT_FALSE(message_of(NoticeEvent{"temperature", "it drifts"}));
+  EXPECT_EQ(message_of(PortLostEvent{Message("/dev/ttyUSB0 vanished")})->at("event"), "port_lost");
+  EXPECT_EQ(message_of(PortBackEvent{Message("it is back")})->at("event"), "port_back");
+  EXPECT_EQ(message_of(NoticeEvent{"watchdog", Message("the stage was halted")})->at("text"),
+            "the stage was halted");
+  EXPECT_FALSE(message_of(NoticeEvent{"temperature", Message("it drifts")}));
   EXPECT_FALSE(message_of(AngleBegunEvent{3}));
   EXPECT_EQ(message_of(finished())->at("text"), "complete: usable");
   FinishedEvent early = finished();
   early.complete = false;
-  early.reason = "the port /dev/ttyUSB0 did not come back";
-  EXPECT_EQ(message_of(early)->at("text"), "ended early: the port /dev/ttyUSB0 did not come back");
+  early.reason = Message("the port did not come back");
+  EXPECT_EQ(message_of(early)->at("text"), "ended early: the port did not come back");
 }
 
 TEST_F(NotifierTest, AWebhookGetsTheEndOfARunAsJson) {

@@ -50,21 +50,21 @@ std::vector<SessionEvent> events() {
   began.estimated_s = 3601.5;
   began.simulated_time = true;
   began.simulated = "stage";
-  began.items = {{2, "SN 2", "VN-100", "m/s2", 100.0, "no reading", 7}};
+  began.items = {{2, "SN 2", "VN-100", "m/s2", 100.0, Message("no reading"), 7}};
   return {began,
           PhaseEvent{4, RunPhase::kTemperature},
           AngleBegunEvent{5},
           DwellDoneEvent{6, {{1, a_dwell()}}},
-          FlagEvent{"not quiet"},
-          PortLostEvent{"the port is gone"},
-          PortBackEvent{"it is back"},
+          FlagEvent{Message("not quiet")},
+          PortLostEvent{Message("the port is gone")},
+          PortBackEvent{Message("it is back")},
           HeldEvent{7},
           ContinuedEvent{8},
-          NoticeEvent{"temperature", "23.1 degC"},
+          NoticeEvent{"temperature", Message("23.1 degC")},
           NoteStoredEvent{"door opened; 23 °C", "page 1"},
           AllMeasuredEvent{"a.run"},
           ReplayComparedEvent{38, 39, true, "complete"},
-          FinishedEvent{"a.run", true, "usable", "nothing found", 219, 220, true}};
+          FinishedEvent{"a.run", true, "usable", Message("nothing found"), 219, 220, true}};
 }
 
 TEST(SessionEventsTest, EveryEventHasANameOfItsOwn) {
@@ -146,9 +146,9 @@ TEST(SessionEventsTest, EveryPhaseHasAWordOfItsOwn) {
 }
 
 TEST(SessionEventsTest, AMessageAboutAnItemNamesIt) {
-  EXPECT_EQ(to_json_object(NoticeEvent{"item dropped", "item 2 takes no part", 2})["item"], 2);
-  EXPECT_EQ(to_json_object(FlagEvent{"item 3, not quiet", 3})["item"], 3);
-  EXPECT_EQ(to_json_object(NoticeEvent{"temperature", "23.1 degC"})["item"], json());
+  EXPECT_EQ(to_json_object(NoticeEvent{"item dropped", Message("item 2 takes no part"), 2})["item"], 2);
+  EXPECT_EQ(to_json_object(FlagEvent{Message("item 3, not quiet"), 3})["item"], 3);
+  EXPECT_EQ(to_json_object(NoticeEvent{"temperature", Message("23.1 degC")})["item"], json());
 }
 
 }  // namespace

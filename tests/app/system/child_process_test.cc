@@ -133,7 +133,7 @@ TEST_F(ChildProcessTest, GnuplotReadsNoStartUpFile) {
   const char* home = std::getenv("HOME");
   const std::string before = home != nullptr ? home : "";
   ::setenv("HOME", folder.path().c_str(), 1);
-  EXPECT_THAT(draw_svg({"c", "plot x"}), HasSubstr("<svg"));
+  EXPECT_THAT(draw_svg("plot x", 300), HasSubstr("<svg"));
   ::setenv("HOME", before.c_str(), 1);
   EXPECT_FALSE(std::filesystem::exists(folder / "run"));
 }

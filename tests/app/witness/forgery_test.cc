@@ -13,6 +13,7 @@
 #include "app/witness/witness_check.h"
 #include "app/witness/witness_log.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_operator.h"
 #include "protocol/record/signature.h"
 #include "protocol/record/verify_run.h"
 #include "tests/app/witness/evidence_fixtures.h"
@@ -61,16 +62,16 @@ class ForgeryTest : public EvidenceTest {
     WitnessRequest request;
     request.run = request.head = links.head;
     request.bench = "bench 1";
-    request.person = "Operator N. N.";
+    request.person = person_;
     lines.push_back(log.answer(request, 0));
     request = {};
     request.run = links.head;
     request.what = WitnessAct::kLink;
     request.now = links.head;
-    for (const LinkedDwell& dwell : links.dwells) {
+    for (const StoredTogether& stored : links.stored) {
       ++request.k;
       request.previous = request.now;
-      request.now = dwell.link;
+      request.now = stored.link;
       lines.push_back(log.answer(request, 0));
     }
     request.what = WitnessAct::kClose;
@@ -122,7 +123,7 @@ class ForgeryTest : public EvidenceTest {
   static test::TemporaryFolder* register_folder_;
   static test::TrainingRegister* register_;
   std::unique_ptr<test::TrainingRegister> own_;
-  std::string key_;
+  std::string key_, person_ = "Operator N. N.";
 };
 test::TemporaryFolder* ForgeryTest::register_folder_ = nullptr;
 test::TrainingRegister* ForgeryTest::register_ = nullptr;
@@ -162,9 +163,58 @@ TEST_F(ForgeryTest, AReadingThatWasChangedAfterwardsIsRefused) {
 
 TEST_F(ForgeryTest, AConditionOrEventThatWasChangedAfterwardsIsRefused) {
   store(witnessed());
-  change("update environment set temperature_degc = 20.0");
+  change("update environment set temperature_degc = 20.0 where moment = 'end'");
   hash_again();
   expect_refused("are not those for which the end of the run was signed");
+}
+
+TEST_F(ForgeryTest, ARunThatSomebodyElseBeganIsRefused) {
+  person_ = "Somebody Else";
+  store(witnessed());
+  expect_refused("the run was begun by Somebody Else, who is not among its operators");
+}
+
+/// Anybody can make a register that has the name of another.
+TEST_F(ForgeryTest, AnOperatorWhoWasNotLoggedInToThisRegisterIsRefused) {
+  std::string identity;
+  {
+    test::write_file(folder / "own.toml", certificate_bench());
+    own_->log_in("Operator N. N.");
+    ASSERT_EQ(test::run_program({"run", "own.toml", "-o", "own.run"}, folder.path()).exit_code, 0);
+    own_->log_in("Approver N. N.");
+    identity = operators_of(RunFile::load(folder / "own.run")).front().register_identity;
+  }
+  ASSERT_NE(identity, "");
+  EXPECT_THAT(test::run_program({"verify", "own.run"}, folder.path()).out,
+              HasSubstr("Operator N. N. was logged in to this register, which was told of the run"));
+  forge("update event set kind = 'operator logged in', text = 'Operator N. N., register " + identity +
+        "' where kind = 'operator stated'");
+  store(witnessed());
+  expect_refused("logged in to this register, which does not know the run");
+  forge("insert into meta values('label.laboratory.calibrations', '[{\"certificate\": \"EX-1\"}]')");
+  store(witnessed());
+  EXPECT_THAT(verify().out, HasSubstr("the run states EX-1, which the register does not have so"));
+}
+
+/// Whoever approves does not choose to do without the witness that has signed the register before.
+TEST_F(ForgeryTest, ARegisterThatHasAWitnessIsNotWrittenWithoutIt) {
+  store(witnessed());
+  ::setenv("ABCAL_SIGNING_KEY", (*register_folder_ / "bench.pem").c_str(), 1);
+  const auto issued = issue();
+  ::unsetenv("ABCAL_SIGNING_KEY");
+  ASSERT_EQ(issued.exit_code, 0) << issued.err;
+  const std::vector<std::string> again{
+      "--replaces", test::number_of(issued.out), "--reason", "why", "--amendment", "technical"};
+  ::setenv("ABCAL_WITNESS", "none", 1);
+  const auto silenced = issue(again);
+  ::unsetenv("ABCAL_WITNESS");
+  EXPECT_NE(silenced.exit_code, 0) << silenced.out;
+  EXPECT_THAT(silenced.err,
+              HasSubstr("ABCAL_WITNESS=none: found a register whose state a witness has signed"));
+  // A computer without a witness writes, and says what is not signed.
+  const auto elsewhere = issue(again);
+  EXPECT_EQ(elsewhere.exit_code, 0) << elsewhere.err;
+  EXPECT_THAT(elsewhere.err, HasSubstr("is not witnessed"));
 }
 
 TEST_F(ForgeryTest, AKeyOfTheForgersOwnIsRefused) {
@@ -251,7 +301,7 @@ TEST_F(ForgeryTest, AStatementOfTheApproverCertifiesARunThatWasNotWitnessed) {
   EXPECT_THAT(
       test::read_file(folder / "a.xml"),
       HasSubstr("The run was not witnessed. Statement of the person who approved: A run of version 1.0"));
-  EXPECT_THAT(document_html(certificate_page(test::read_file(folder / "a.xml"))).html,
+  EXPECT_THAT(document_html(certificate_page(test::read_file(folder / "a.xml"))),
               HasSubstr("The run was not witnessed. Statement of the person who approved"));
   // The register names the SHA-256 of the run: from now on nobody can change it.
   EXPECT_EQ(verify().exit_code, 0) << verify().out;
@@ -286,6 +336,8 @@ TEST_F(EditedWhileInterruptedTest, ACompleteRunIsNotClosedForAForger) {
   EXPECT_THAT(resumed(), HasSubstr("dwell 5 (experiment 1, n = 5)"));
 }
 
+/// Everything that stands before an angle is signed with it: nobody can give the run another operator, other
+/// conditions or other events before it is closed.
 TEST_F(EditedWhileInterruptedTest, ARebuiltChainContradictsTheWitness) {
   {
     SqliteDatabase run(path, SqliteDatabase::Mode::kReadWrite);
@@ -295,8 +347,16 @@ TEST_F(EditedWhileInterruptedTest, ARebuiltChainContradictsTheWitness) {
           .bind_blob(2, line.signature)
           .run();
   }
-  rebuild_chain(kLargerU);
-  EXPECT_THAT(resumed(), AllOf(HasSubstr("the file is not what was witnessed"), HasSubstr("angle 1 ")));
+  for (const char* sql :
+       {"update event set who = 'Somebody Else'", "update event set text = 'x' where id = 1",
+        "update environment set temperature_degc = 20.0 where id = 1", kLargerU}) {
+    const std::filesystem::path kept = folder / "kept";
+    std::filesystem::copy_file(path, kept, std::filesystem::copy_options::overwrite_existing);
+    rebuild_chain(sql);
+    EXPECT_THAT(resumed(), AllOf(HasSubstr("the file is not what was witnessed"), HasSubstr("angle 1 ")))
+        << sql;
+    std::filesystem::rename(kept, path);
+  }
 }
 
 }  // namespace

@@ -10,8 +10,10 @@
 
 #include "app/witness/witness_check.h"
 #include "protocol/record/signature.h"
+#include "protocol/record/verify_run.h"
 #include "tests/app/witness/evidence_fixtures.h"
 #include "tests/app/witness/witness_fixtures.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -111,7 +113,7 @@ TEST_F(RunWitnessTest, AnglesWithoutAWitnessStaySoAndAreNamed) {
     run->begin(file, "bench 1", "Operator N. N.", false);
     append(file, 0, 2);
     run->await_angles();
-    file.set_state(RunState::kInterrupted, "2026-03-01T12:00:00.000Z", "test");
+    file.set_state(RunState::kInterrupted, "2026-03-01T12:00:00.000Z", Message("test"));
   }
   {
     RunFile file = RunFile::open_for_append(path);
@@ -148,6 +150,27 @@ TEST_F(RunWitnessTest, ARunWithSimulatedTimeHasABeginningAndAnEndOnly) {
   EXPECT_EQ(RunFile::witnessed(path).size(), 2U);
   EXPECT_TRUE(check().is_signed);
   EXPECT_FALSE(check().is_witnessed);
+}
+
+// Runs that were measured before links covered everything stay what they are.
+TEST(RunsOfVersion5Test, AreAsTheyWereStoredAndWitnessed) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path data = test::source_folder() / "tests/data/version_5";
+  const Trust trust{{{"bench 1", test::read_file(data / "witness.pem")}}, {}};
+  for (const char* name : {"two_faces.run", "constant_rate.run", "interrupted.run"}) {
+    std::filesystem::copy_file(data / name, folder / name);
+    EXPECT_NO_THROW(require_as_stored(folder / name)) << name;
+    for (const IntegrityCheck& check : check_witness(folder / name, trust).checks)
+      EXPECT_TRUE(check.good) << name << ": " << check.found;
+  }
+  const WitnessCheck found = check_witness(folder / "constant_rate.run", trust);
+  EXPECT_TRUE(found.is_witnessed) << found.words;
+  EXPECT_THAT(found.words, HasSubstr("48 of 48 angles witnessed by the key of bench 1"));
+  // The one that was killed goes on with the links of its version.
+  { RunFile::open_for_append(folder / "interrupted.run").append_event("t", "note", Message("a")); }
+  SqliteDatabase run(folder / "interrupted.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(run.value("pragma user_version"), "5");
+  EXPECT_NO_THROW(require_unchanged(folder / "interrupted.run"));
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <poll.h>
+#include <pwd.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -81,7 +82,7 @@ class ScriptedWitness {
         if (!reply)
           clients[k - 2].close();
         else if (!reply->empty())
-          (void)send_witness_packet(waiting[k].fd, *reply);
+          (void)send_packet(waiting[k].fd, *reply);
       }
       std::erase_if(clients, [](const Descriptor& client) { return client.number() < 0; });
       if (waiting[1].revents != 0)
@@ -107,11 +108,11 @@ class WitnessClientTest : public WitnessTest {
 
   /// The program, which serves `path`.
   std::unique_ptr<test::Program> start(const std::filesystem::path& path) const {
-    auto program =
-        std::make_unique<test::Program>(helper_program("abcal-witness", "this test needs").program,
-                                        std::vector<std::string>{"--key", key_file.string(), "--log",
-                                                                 file.string(), "--socket", path.string()},
-                                        folder.path());
+    auto program = std::make_unique<test::Program>(
+        helper_program("abcal-witness", "this test needs").program,
+        std::vector<std::string>{"--key", key_file.string(), "--log", file.string(), "--socket",
+                                 path.string(), "--user", ::getpwuid(::geteuid())->pw_name},
+        folder.path());
     EXPECT_TRUE(test::wait_for([&] { return serves(path) || !program->running(); }, kLong));
     EXPECT_TRUE(program->running()) << program->err();
     return program;
@@ -119,7 +120,7 @@ class WitnessClientTest : public WitnessTest {
 
   static bool serves(const std::filesystem::path& path) {
     try {
-      (void)connect_to_witness(path);
+      (void)connect_to(path, ChannelKind::kPackets);
       return true;
     } catch (const std::runtime_error&) {
       return false;

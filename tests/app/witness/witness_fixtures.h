@@ -9,10 +9,13 @@
 #include <cstdint>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
 #include <string>
 #include <thread>
 #include <utility>
 
+#include "app/system/channel.h"
 #include "app/system/descriptor.h"
 #include "app/witness/witness_log.h"
 #include "app/witness/witness_service.h"
@@ -93,13 +96,17 @@ class WitnessTest : public testing::Test {
 /// A service in a thread of its own, for the lifetime of this object.
 class ServedWitness {
  public:
-  ServedWitness(std::unique_ptr<WitnessLog> log, const std::filesystem::path& socket) : log_(std::move(log)) {
+  /// @param users  as in WitnessService::Options
+  ServedWitness(std::unique_ptr<WitnessLog> log, const std::filesystem::path& socket,
+                std::optional<std::set<std::uint32_t>> users = std::nullopt)
+      : log_(std::move(log)) {
     std::array<int, 2> ends{};
     if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
       throw std::runtime_error("no socket");
     owner_ = Descriptor(ends[0]);
     service_ = std::make_unique<WitnessService>(
-        *log_, WitnessService::Options{.socket = socket, .owner = Descriptor(ends[1])});
+        *log_,
+        WitnessService::Options{.socket = socket, .owner = Descriptor(ends[1]), .users = std::move(users)});
     thread_ = std::thread([this] { service_->serve(); });
   }
   ServedWitness(const ServedWitness&) = delete;
@@ -127,7 +134,7 @@ inline nlohmann::json receive_answer(const Descriptor& socket) {
 
 /// Null: the connection has ended.
 inline nlohmann::json ask_witness(const Descriptor& socket, const std::string& question) {
-  if (!send_witness_packet(socket.number(), question)) return nullptr;
+  if (!send_packet(socket.number(), question)) return nullptr;
   return receive_answer(socket);
 }
 

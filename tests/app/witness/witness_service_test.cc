@@ -26,7 +26,7 @@ using testing::IsEmpty;
 
 class WitnessServiceTest : public WitnessTest {
  protected:
-  Descriptor connect() const { return connect_to_witness(socket); }
+  Descriptor connect() const { return connect_to(socket, ChannelKind::kPackets); }
 
   std::optional<ServedWitness> served{std::in_place, open_log(), socket};
 };
@@ -48,6 +48,19 @@ TEST_F(WitnessServiceTest, SignsWithTheUserOfTheOtherEnd) {
   Json pretended = Json::parse(to_json(link_request(1)));
   pretended["uid"] = 12345;
   EXPECT_THAT(ask_witness(client, pretended.dump()).at("why"), HasSubstr("\"uid\""));
+}
+
+TEST_F(WitnessServiceTest, AnswersOnlyTheUsersThatItsConfigurationNames) {
+  served.reset();
+  served.emplace(open_log(), socket, std::set<std::uint32_t>{::geteuid() + 1});
+  const Descriptor client = connect();
+  EXPECT_EQ(ask_witness(client, kWho).at("ok"), true);
+  EXPECT_THAT(ask_witness(client, to_json(begin_request())).at("why"),
+              HasSubstr("does not answer the user with the ID " + std::to_string(::geteuid())));
+  EXPECT_EQ(ask_witness(client, R"({"do":"fetch","run":"run-1","act":"begin","k":0})").at("ok"), false);
+  served.reset();
+  served.emplace(open_log(), socket, std::set<std::uint32_t>{::geteuid()});
+  EXPECT_EQ(ask_witness(connect(), to_json(begin_request())).at("ok"), true);
 }
 
 TEST_F(WitnessServiceTest, FetchesWhatIsStored) {
@@ -126,7 +139,7 @@ TEST_F(WitnessServiceTest, AClientThatDoesNotReadIsDisconnected) {
   const Descriptor deaf = connect(), other = connect();
   pollfd room{.fd = deaf.number(), .events = POLLOUT, .revents = 0};
   int sent = 0;
-  while (send_witness_packet(deaf.number(), kWho)) {
+  while (send_packet(deaf.number(), kWho)) {
     ASSERT_LT(++sent, 1'000'000);
     ASSERT_EQ(::poll(&room, 1, 60'000), 1) << "the service does not read";
   }
@@ -134,7 +147,7 @@ TEST_F(WitnessServiceTest, AClientThatDoesNotReadIsDisconnected) {
 }
 
 TEST_F(WitnessServiceTest, AnEndedClientLeavesNothing) {
-  for (int k = 0; k < 100; ++k) (void)send_witness_packet(connect().number(), kWho);
+  for (int k = 0; k < 100; ++k) (void)send_packet(connect().number(), kWho);
   const Descriptor empty = connect(), other = connect();
   EXPECT_EQ(ask_witness(empty, ""), Json(nullptr)) << "an empty packet is the end";
   EXPECT_EQ(ask_witness(other, kWho).at("ok"), true);

@@ -1,6 +1,7 @@
 // The page while the process that holds the bench hangs or is dead: the banner shows the state of the axes that their guard reports,
 // Stop can be pressed, and nothing is called idle before the guard has confirmed that the axes are at rest.
 import assert from 'node:assert/strict';
+import {execFileSync} from 'node:child_process';
 import {until} from './driven_page.mjs';
 import {BENCH, begin, confirmDialog, eventually, served, stateIs, text} from './page_test.mjs';
 
@@ -86,4 +87,22 @@ step('an axis is unreachable and the process is dead: not at rest until its guar
   await page.locator('#do-stop').becomesEnabled();
   await eventually(async () => assert.doesNotMatch(await text('#state'), /unreachable|may be moving/));
   stoppableAndNeverIdle((await page.evaluate(() => globalThis.seen)).filter(([, sentence]) => /unreachable|may be moving/.test(sentence)));
+});
+
+step('the process and its guard are dead in motion: nobody is left to say that the axes are at rest, and Stop is not called done', async (page) => {
+  await page.locator('#resume-interrupted:enabled').click();
+  await confirmDialog();
+  await moves();
+  await watch(page);
+  const holder = served.holder();
+  process.kill(holder, 'SIGSTOP');  // Neither may see the other die.
+  process.kill(Number(execFileSync('pgrep', ['-P', holder, 'abcal-guard'])), 'SIGKILL');
+  process.kill(holder, 'SIGKILL');
+  const unseen = /Axis [XZ] may be moving: it was commanded to at \d\d:\d\d:\d\d UTC, and nobody is left who would see it come to rest\./;
+  await stateIs(unseen);
+  await until(async () => await text('#banner-word') === 'Not known', {what: 'the banner'});
+  await page.locator('#do-stop:enabled').click();
+  await eventually(async () => assert.match(await text('#halt'), /refused: no guard answers that could halt the stage/));
+  assert.match(await text('#state'), unseen);
+  stoppableAndNeverIdle(await page.evaluate(() => globalThis.seen));
 });

@@ -16,7 +16,7 @@ const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch
 // The texts in the sources as t`...` or t('...').
 function textsOfScripts() {
   const texts = new Set();
-  for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js', 'program_de.js'].includes(file))) {
+  for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js'].includes(file))) {
     const source = readFileSync(path.join(folder, name), 'utf8');
     for (const [, text] of source.matchAll(/\bt`([^`]*)`/g)) texts.add(text.replace(/\$\{[^{}]*\}/g, '{}'));
     for (const [, text] of source.matchAll(/\bt\('([^']*)'\)/g)) texts.add(text);
@@ -42,15 +42,13 @@ step('every text has German words with the same values in them', async () => {
   assert.deepEqual(Object.keys(german).filter((text) => values(text) !== values(german[text])), []);
 });
 
-// Texts of the program have tables of their own; these are the sentences without variable parts.
-step('checks, flags and what they mean have German words', async () => {
-  const program = await germanOf('program_de.js');
+// The vocabulary of the program, of which the console sends the words alone.
+step('checks, flags and what they mean have German words', async (page) => {
   const source = readFileSync(path.join(folder, '../../../protocol/estimators/checks/check_meanings.cc'), 'utf8');
   const pairs = [...source.matchAll(/\{"([^"]+)",\s*"([^"]+)"\}/g)];
   assert.ok(pairs.length >= 30, String(pairs.length));
+  const program = await page.evaluate(async () => (await fetch('/certificate_de.json')).json());
   assert.deepEqual(pairs.flatMap(([, name, meaning]) => [name, meaning]).filter((words) => !(words in program)), []);
-  const values = (text) => text.split('{}').length;
-  assert.deepEqual(Object.keys(program).filter((text) => values(text) !== values(program[text])), []);
 });
 
 step('a switch chooses German, which stays', async (page) => {
@@ -81,6 +79,18 @@ step('a run is German from its first question to its result', async (page) => {
   await stateIs(/^Der Lauf ist unterbrochen/);
   await page.locator('#halt', {hasText: 'Achse X steht. Achse Z steht.'}).waitFor();
   await noEnglish();
+});
+
+step('what a person stated is not translated, whatever it says', async (page) => {
+  const says = (message) => page.evaluate(async (made) => {
+    const {know, translated} = await import('/said.js');
+    know([made]);
+    return translated(made.text);
+  }, message);
+  assert.equal(await says({text: 'Source: customer', id: 'Source: {source}', values: {source: 'customer'}}), 'Quelle: customer');
+  assert.equal(await says({text: 'Source: Customer', id: 'Source: {source}', values: {source: {text: 'Customer', id: 'Customer', values: {}}}}), 'Quelle: Auftraggeber');
+  assert.equal(await says({text: 'customer', id: '{source}', values: {source: 'customer'}}), 'customer');
+  assert.equal(await says({text: 'no sentence of the program', id: 'no sentence of the program', values: {}}), null);
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

@@ -1,4 +1,4 @@
-// The console behind nginx, with the configuration that docs/console.md shows: it works, and counts failures by client.
+// The console behind nginx, with the configuration that docs/console_programs.md shows: it works, and counts failures by client.
 import assert from 'node:assert/strict';
 import {execFileSync, spawn} from 'node:child_process';
 import {existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
@@ -15,7 +15,7 @@ if (!existsSync(NGINX)) {
   console.log(`skipped: there is no ${NGINX} (scripts/setup --tests installs it)`);
   process.exit(77);  // ctest's SKIP_RETURN_CODE
 }
-const docs = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/console.md');
+const docs = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/console_programs.md');
 const folder = mkdtempSync(path.join(tmpdir(), 'abcal-nginx-'));
 const TOKEN = '0123456789abcdef';
 const BENCH = `
@@ -39,7 +39,7 @@ const freePort = () => new Promise((resolve) => {
 function end() {
   nginx?.kill('SIGKILL');
   console_?.kill('SIGINT');
-  rmSync(folder, {recursive: true, force: true});
+  rmSync(folder, {recursive: true, force: true, maxRetries: 20, retryDelay: 100});
 }
 
 // The configuration of the docs, with the ports and files of this test.

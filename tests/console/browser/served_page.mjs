@@ -189,13 +189,17 @@ export class ServedPage {
     this.server?.kill('SIGKILL');
     this.emulator?.kill('SIGKILL');
     try { process.kill(this.holder(), 'SIGKILL'); } catch { /* It has ended. */ }
-    rmSync(this.folder, {recursive: true, force: true});
+    this.remove();
   }
 
   async close() {
     await this.browser?.close();
-    this.server?.kill('SIGINT');
-    this.emulator?.kill('SIGINT');
-    rmSync(this.folder, {recursive: true, force: true});
+    const ended = [this.server, this.emulator].filter((each) => each && each.exitCode === null && each.signalCode === null)
+      .map((each) => new Promise((resolve) => { each.once('exit', resolve); each.kill('SIGINT'); }));
+    await Promise.all(ended);
+    this.remove();
   }
+
+  // The guard of a stage and the browser may still write into the folder while they end.
+  remove() { rmSync(this.folder, {recursive: true, force: true, maxRetries: 20, retryDelay: 100}); }
 }

@@ -1,8 +1,11 @@
 #include "drivers/wire/lease.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <pwd.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -118,6 +121,74 @@ TEST(LeaseTest, ALongSerialNumberIsAResource) {
   AnotherProgram another(long_one);
   const auto lease = Lease::take(long_one, "a run by A. B.");
   EXPECT_EQ(another.take(), 1);
+}
+
+/// Files in the place of a lease's, each of which keeps its holder from being known.
+class UnreadableLeaseTest : public testing::Test {
+ protected:
+  UnreadableLeaseTest() {
+    (void)Lease::take(name, "a run by A. B.");  // It makes the file.
+    for (const char* parent : {"/run/lock", "/tmp"}) {
+      const auto file = std::filesystem::path(parent) / "abcal" / (name + ".lease");
+      if (std::filesystem::exists(file)) path = file;
+    }
+    std::filesystem::remove(path);
+  }
+  ~UnreadableLeaseTest() override { std::filesystem::remove(path); }
+
+  /// Answer to a program of another user that takes the lease; empty: it is granted.
+  std::string refusal() const {
+    std::array<int, 2> words{};
+    if (::pipe(words.data()) != 0) return "no pipe";
+    const pid_t child = ::fork();
+    if (child == 0) {
+      constexpr uid_t kNobody = 65534;
+      std::string told;
+      if (::geteuid() == 0 && ::setuid(kNobody) != 0) told = "no other user";
+      try {
+        (void)Lease::take(name, "the other");
+      } catch (const PortHeld& error) {
+        told = error.what();
+      }
+      (void)!::write(words[1], told.data(), told.size());
+      ::_exit(0);
+    }
+    ::close(words[1]);
+    std::array<char, 2000> told{};
+    const ssize_t count = ::read(words[0], told.data(), told.size());
+    ::close(words[0]);
+    ::waitpid(child, nullptr, 0);
+    return {told.data(), count > 0 ? static_cast<std::size_t>(count) : 0U};
+  }
+
+  const std::string name = resource();
+  std::filesystem::path path;
+};
+
+TEST_F(UnreadableLeaseTest, IsRefusedWithItsOwnerAndWhatToDo) {
+  const test::TemporaryFolder folder;
+  const std::string owner = ::getpwuid(::geteuid())->pw_name;
+  const auto expect_refused = [&](const std::string& kind) {
+    EXPECT_THAT(refusal(),
+                testing::AllOf(testing::HasSubstr(path.string() + " is a " + kind + " of the user " + owner),
+                               testing::HasSubstr("required: a file that all users may read and write")))
+        << kind;
+    std::filesystem::remove(path);
+  };
+  EXPECT_EQ(refusal(), "") << "where nothing is in its place";
+  std::filesystem::remove(path);
+  std::filesystem::create_symlink(folder / "nowhere", path);
+  expect_refused("link");
+  std::filesystem::create_directory(path);
+  expect_refused("folder");
+  ASSERT_EQ(::mkfifo(path.c_str(), 0666), 0);
+  ::chmod(path.c_str(), 0666);
+  expect_refused("special file");
+  if (::geteuid() != 0) GTEST_SKIP() << "only root can make a file that its own program cannot read";
+  const int made = ::open(path.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0600);
+  ASSERT_GE(made, 0);
+  ::close(made);
+  expect_refused("file");
 }
 
 /// A device is one resource by any name, and a program that finds it in use names its holder.

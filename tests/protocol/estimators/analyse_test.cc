@@ -11,7 +11,7 @@
 
 #include "protocol/estimators/circle/sensitivity_matrix.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
-#include "protocol/record/import_csv.h"
+#include "protocol/record/import_table.h"
 #include "tests/protocol/estimators/made_record.h"
 #include "tests/reference/paper_tables.h"
 #include "tests/support/test_data.h"
@@ -86,7 +86,7 @@ class IndependentReadingsTest : public ErrorTableTest {};
 
 TEST_P(IndependentReadingsTest, GiveEveryPrintedDigit) {
   ABCAL_SHARED_DATA_OR_SKIP(path, std::string("abc/") + table().file);
-  expect_errors_as_printed(analyse_abc(import_csv(path)), table());
+  expect_errors_as_printed(analyse_abc(import_table(path).record), table());
 }
 
 INSTANTIATE_TEST_SUITE_P(Paper, IndependentReadingsTest, ::testing::Values(0U, 1U, 2U));  // those with a file
@@ -96,7 +96,7 @@ INSTANTIATE_TEST_SUITE_P(Paper, IndependentReadingsTest, ::testing::Values(0U, 1
 // with the forward model at 0.9144 q, to the accuracy that two independent programs must share.
 TEST(AnalyseTest, IndependentReadingsForTable8AgreeWithTheForwardModel) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "abc/table8_as_printed.csv");
-  const RunRecord independent = import_csv(path);
+  const RunRecord independent = import_table(path).record;
   AcsErrors errors;
   errors.alignment = {reference::q(), reference::q(), 0.9144 * reference::q()};
   AccelerometerModel aut = table2();
@@ -110,7 +110,7 @@ TEST(AnalyseTest, IndependentReadingsForTable8AgreeWithTheForwardModel) {
 
 TEST(AnalyseTest, Table2OnAnIdealStageReturnsItsTruthToRoundOff) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "abc/table2_ideal_acs.csv");
-  const CalibrationResult result = analyse_abc(import_csv(path));
+  const CalibrationResult result = analyse_abc(import_table(path).record);
   const Eigen::Matrix3d truth = reference::table2_sensitivity();
   EXPECT_LT((result.sensitivity_values() - truth).cwiseAbs().maxCoeff(), 2e-15);
   EXPECT_LT((result.offset_values() - reference::table2_offset()).cwiseAbs().maxCoeff(), 2e-15);

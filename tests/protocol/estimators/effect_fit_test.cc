@@ -20,7 +20,7 @@
 #include "protocol/estimators/joint/size_evidence.h"
 #include "protocol/estimators/joint/white_noise_fit.h"
 #include "protocol/estimators/shared/reading_kernels.h"
-#include "protocol/record/import_csv.h"
+#include "protocol/record/import_table.h"
 #include "tests/protocol/estimators/made_record.h"
 #include "tests/support/test_data.h"
 
@@ -53,7 +53,7 @@ class AgainstPrototype : public testing::TestWithParam<const char*> {};
 TEST_P(AgainstPrototype, SameEstimatesAndUncertainties) {
   const std::string name = std::string("robust/") + GetParam();
   ABCAL_SHARED_DATA_OR_SKIP(csv, name + ".csv");
-  RunRecord record = import_csv(csv);
+  RunRecord record = import_table(csv).record;
   record.tolerances.hysteresis = 0.0;
   JointOptions options;
   options.noise_process = false;
@@ -78,7 +78,7 @@ TEST_P(AgainstPrototype, SameEstimatesAndUncertainties) {
 TEST_P(AgainstPrototype, TruthIsInsideTheIntervals) {
   const std::string name = std::string("robust/") + GetParam();
   ABCAL_SHARED_DATA_OR_SKIP(csv, name + ".csv");
-  const CalibrationResult result = analyse_joint(import_csv(csv));
+  const CalibrationResult result = analyse_joint(import_table(csv).record);
   EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
   const std::string text = text_of(test::shared_data(name + ".truth.json").value());
   const std::vector<double> truth = numbers_after(text, "truth");

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>
@@ -15,7 +16,7 @@
 #include "protocol/estimators/joint/analyse_tray.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/line_response.h"
-#include "protocol/estimators/joint/tray_fit.h"
+#include "protocol/estimators/measurement/stage_learning.h"
 #include "tests/protocol/estimators/made_tray.h"
 
 namespace abcal {
@@ -33,21 +34,27 @@ Vector12 values_of(const CalibrationResult& result) {
   return out;
 }
 
-/// The items' own fits, and which angle of the stage each reading belongs to: the n-th.
+/// The items of one run with their own fits.
 struct OwnFits {
   explicit OwnFits(const MadeTray& tray, const JointOptions& options = {}) {
     for (const RunRecord& record : tray.records) works.push_back(fit_item(record, options));
-    for (ItemFit& work : works) {
-      std::vector<int> angle(work.data.readings.size());
-      for (std::size_t n = 0; n < angle.size(); ++n) angle[n] = static_cast<int>(n);
-      members.push_back({&*work.solution, angle});
-    }
-    for (const EffectReading& at : works.front().data.readings)
-      angles.push_back({at.experiment, at.sin_alpha, at.cos_alpha});
+  }
+  MeasurementFit common() {
+    informations.clear();
+    measured.clear();
+    for (const ItemFit& work : works) informations.push_back(run_information(work.data, *work.solution));
+    for (std::size_t k = 0; k < works.size(); ++k)
+      measured.push_back({.information = &informations[k],
+                          .item = static_cast<int>(k),
+                          .pose = {},
+                          .own = &*works[k].solution});
+    MeasurementOptions of_one_run;
+    of_one_run.separates_what_repeats = false;
+    return fit_measurement(measured, of_one_run);
   }
   std::vector<ItemFit> works;
-  std::vector<TrayMember> members;
-  std::vector<TrayAngle> angles;
+  std::vector<RunInformation> informations;
+  std::vector<MeasuredItem> measured;
 };
 
 TEST(TrayTest, OneItemGivesTheJointResult) {
@@ -71,46 +78,32 @@ TEST(TrayTest, FitOfOneMemberIsItsOwnFit) {
   options.noise_process = false;
   OwnFits own(tray, options);
   const EffectFit& alone = own.works.front().solution->fit;
-  const TrayFit fit = fit_tray(own.members, own.angles);
+  const MeasurementFit fit = own.common();
   ASSERT_TRUE(fit.converged);
   EXPECT_NEAR(fit.chi2, alone.chi2, 1e-5 * alone.chi2);
+  const FittedItem& item = fit.items.front();
+  const EffectFit common = common_fit(alone, own.measured.front(), fit);
   for (Eigen::Index i = 0; i < 12; ++i) {
     const double u = std::sqrt(alone.covariance_line(i, i));
-    EXPECT_NEAR(fit.items[0].line(i), alone.line(i), 1e-4 * u) << i;
-    EXPECT_NEAR(std::sqrt(fit.items[0].covariance_line(i, i)), u, 1e-5 * u) << i;
-    EXPECT_NEAR(fit.items[0].covariance_line_type_b(i, i), alone.covariance_line_type_b(i, i), 1e-4 * u * u);
+    EXPECT_NEAR(item.line(i), alone.line(i), 1e-4 * u) << i;
+    EXPECT_NEAR(std::sqrt(item.covariance_line(i, i)), u, 1e-5 * u) << i;
+    EXPECT_NEAR(common.covariance_line_type_b(i, i), alone.covariance_line_type_b(i, i), 1e-4 * u * u);
   }
+  ASSERT_EQ(item.shares.size(), alone.shares.size());
+  for (const EffectShare& share : item.shares) {
+    const auto same = std::ranges::find(alone.shares, share.effect, &EffectShare::effect);
+    ASSERT_NE(same, alone.shares.end()) << share.effect;
+    EXPECT_EQ(share.key, same->key);
+    EXPECT_EQ(share.unknowns, same->unknowns) << share.effect;
+    EXPECT_DOUBLE_EQ(share.prior_sd, same->prior_sd) << share.effect;
+    for (Eigen::Index i = 0; i < 12; ++i)
+      EXPECT_NEAR(share.covariance(i, i), same->covariance(i, i), 1e-4 * alone.covariance_line(i, i));
+  }
+  ASSERT_EQ(item.gain.rows(), alone.gain.rows());
+  EXPECT_LT((item.gain - alone.gain).norm(), 1e-4 * alone.gain.norm());
   for (std::size_t n = 0; n < alone.step_error.size(); ++n) {
-    EXPECT_NEAR(fit.items[0].step_error[n], alone.step_error[n], 1e-3 * alone.u_step_error[n]);
-    EXPECT_NEAR(fit.items[0].u_step_error[n], alone.u_step_error[n], 1e-4 * alone.u_step_error[n]);
-  }
-}
-
-// The common fit, too, takes steps that lower the cost only: items that say very different things of the
-// stage.
-TEST(TrayTest, CommonFitFromFarAwayEndsWhereItEndsFromItsOwnStart) {
-  const MadeTray tray = made_tray({.items = 2}, 2);
-  JointOptions options;
-  options.noise_process = false;
-  OwnFits near(tray, options);
-  const TrayFit expected = fit_tray(near.members, near.angles);
-  OwnFits far(tray, options);
-  for (TrayMember& member : far.members) {
-    EffectModel& model = *member.own->model;
-    Eigen::VectorXd value = model.value();
-    value.segment(model.layout().first_stage(), 7) << 0.3, -0.3, 0.3, 0.7, -0.7, 0.4, -0.4;
-    model.move_to(value, model.steps());
-  }
-  const TrayFit fit = fit_tray(far.members, far.angles);
-  ASSERT_TRUE(expected.converged && fit.converged);
-  std::printf("%d iterations, %d from far away\n", expected.iterations, fit.iterations);
-  EXPECT_NEAR(fit.chi2, expected.chi2, 1e-6 * expected.chi2);
-  for (std::size_t k = 0; k < 2; ++k) {
-    for (Eigen::Index i = 0; i < 12; ++i) {
-      const double u = std::sqrt(expected.items[k].covariance_line(i, i));
-      EXPECT_NEAR(fit.items[k].line(i), expected.items[k].line(i), 1e-3 * u) << k << ", " << i;
-      EXPECT_NEAR(std::sqrt(fit.items[k].covariance_line(i, i)), u, 1e-4 * u) << k << ", " << i;
-    }
+    EXPECT_NEAR(common.step_error[n], alone.step_error[n], 1e-3 * alone.u_step_error[n]);
+    EXPECT_NEAR(common.u_step_error[n], alone.u_step_error[n], 1e-4 * alone.u_step_error[n]);
   }
 }
 
@@ -176,13 +169,13 @@ TEST(TrayTest, IsTheLeastSquaresSolutionByItsDefinition) {
     own.works[k].solution->weights = {1.0};
     own.works[k].solution->log_likelihoods = {0.0};
   }
-  const TrayFit fit = fit_tray(own.members, own.angles);
+  const MeasurementFit fit = own.common();
   ASSERT_TRUE(fit.converged);
   const DenseTray dense(own, noises);
   const Eigen::Index a = own.works[0].solution->model->layout().first_stage();
-  const Eigen::Index stage = fit.stage.value.size();
-  const Eigen::MatrixXd& of_first = fit.items[0].covariance;
-  const Eigen::MatrixXd& of_second = fit.items[1].covariance;
+  const auto stage = static_cast<Eigen::Index>(fit.stage.names.size());
+  const Eigen::MatrixXd& of_first = fit.in_runs[0].covariance;
+  const Eigen::MatrixXd& of_second = fit.in_runs[1].covariance;
   const auto expect_same = [](const Eigen::MatrixXd& found, const Eigen::MatrixXd& wanted) {
     ASSERT_EQ(found.rows(), wanted.rows());
     for (Eigen::Index i = 0; i < found.rows(); ++i) {
@@ -195,15 +188,17 @@ TEST(TrayTest, IsTheLeastSquaresSolutionByItsDefinition) {
   expect_same(of_second.topLeftCorner(a, a), dense.covariance.block(a, a, a, a));
   expect_same(fit.stage.covariance, dense.covariance.bottomRightCorner(stage, stage));
   // Between the items only s is compared: unlike the offset, it does not contain the mean of a process.
-  const Rows12 first = own.works[0].solution->model->line_rows().leftCols(a);
-  const Rows12 second = own.works[1].solution->model->line_rows().leftCols(a);
+  const auto rows_of = [&](std::size_t k) -> Rows12 {
+    return line_rows(own.informations[k].layout, fit.in_runs[k].value).leftCols(a);
+  };
+  const Rows12 first = rows_of(0), second = rows_of(1);
   const Covariance12 between = units_of_line(own.works[0].solution->model->unit()).asDiagonal() *
                                (first * dense.covariance.block(0, a, a, a) * second.transpose()) *
                                units_of_line(own.works[1].solution->model->unit()).asDiagonal();
   for (Eigen::Index i = 0; i < 9; ++i) {
     for (Eigen::Index k = 0; k < 9; ++k) {
-      const double scale = std::sqrt(fit.covariance(i, i) * fit.covariance(12 + k, 12 + k));
-      EXPECT_NEAR(fit.covariance(i, 12 + k), between(i, k), 1e-6 * scale);
+      const double scale = std::sqrt(fit.covariance_lines(i, i) * fit.covariance_lines(12 + k, 12 + k));
+      EXPECT_NEAR(fit.covariance_lines(i, 12 + k), between(i, k), 1e-6 * scale);
     }
   }
 }
@@ -277,7 +272,8 @@ TEST(TrayTest, EightItemsKnowTheStageBetter) {
   const TrayPlan plan{.items = 8, .steps = 16, .noise = 1e-4};
   const MadeTray tray = made_tray(plan, 7);
   const TrayResult of_all = analyse_tray(tray.records);
-  const TrayResult of_one = analyse_tray(std::span(tray.records).first(1));
+  const TrayResult of_one =
+      analyse_tray(std::span(tray.records).first(1), {.stage_of_one = true, .measured_alignment = {}});
   ASSERT_TRUE(of_all.stage && of_one.stage);
   EXPECT_EQ(of_all.stage->items, 8);
   for (std::size_t a = 0; a < of_all.stage->steps.size(); ++a)

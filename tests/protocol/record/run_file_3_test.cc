@@ -1,6 +1,7 @@
 // Promises of version 3 of the run file: true time, sessions, roles, items, compact readings, chained dwells,
 // and results that many programs may write at once.
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sqlite3.h>
@@ -17,8 +18,10 @@
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_schema.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/verify_run.h"
+#include "tests/support/forged_chain.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -140,6 +143,28 @@ class RunFile3Test : public testing::Test {
     const std::vector<StoredReading> readings = late_readings(20, time_s);
     file.append_dwell(position, dwell_of(readings, closing), readings, {1.0, 1.0, 1.0, 1.0});
   }
+  /// Writes the run again as version 4 would have.
+  void as_version_4() const {
+    const std::filesystem::path now = folder / "now.run";
+    std::filesystem::rename(path, now);
+    {
+      SqliteDatabase old(path, SqliteDatabase::Mode::kCreate);
+      create_run_schema(old, 4);
+      old.execute("attach '" + now.string() + "' as now");
+      for (const std::string table :
+           {"meta", "instrument", "item", "plan", "session", "event", "dwell", "reading"}) {
+        const std::string columns = *old.value("select group_concat(name) from pragma_table_info('" + table +
+                                               "') where name <> 'skipped'");
+        old.execute("insert into main." + table + "(" + columns + ") select " + columns + " from now." +
+                    table);
+      }
+      old.execute(
+          "update main.reading set skipped = coalesce((select g.skipped from now.reading_gap g where g.dwell "
+          "= "
+          "main.reading.dwell and g.k <= main.reading.k order by g.k desc limit 1), 0)");
+    }
+    test::rebuild_chain(path);
+  }
   SqliteDatabase reader() const { return {path, SqliteDatabase::Mode::kReadOnly}; }
   /// The finding of `verify` on a subject.
   IntegrityCheck found(const std::string& what) const { return found(what, path); }
@@ -155,8 +180,8 @@ class RunFile3Test : public testing::Test {
 
 TEST_F(RunFile3Test, NamesItsSchemaAndVersion) {
   { RunFile::create(path, plan_of_two()); }
-  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/5");
-  EXPECT_EQ(reader().value("pragma user_version"), "5");
+  EXPECT_EQ(reader().value("select value from meta where key = 'schema'"), "abcal.run/6");
+  EXPECT_EQ(reader().value("pragma user_version"), "6");
 }
 
 TEST_F(RunFile3Test, APauseIsInTheTimesOfTheRun) {
@@ -165,7 +190,7 @@ TEST_F(RunFile3Test, APauseIsInTheTimesOfTheRun) {
     file.begin_session(start_after(0s));
     EXPECT_EQ(file.time_s(kMonotonic + 8670ms), 8.67);
     append(file, 0, file.time_s(kMonotonic + 8670ms));
-    file.set_state(RunState::kInterrupted, "2026-11-22T08:00:10.000Z", "stopped by the operator");
+    file.set_state(RunState::kInterrupted, "2026-11-22T08:00:10.000Z", Message("stopped by the operator"));
   }
   {
     RunFile file = RunFile::open_for_append(path);
@@ -295,6 +320,74 @@ TEST_F(RunFile3Test, TheLinkOfADwellIsThatOfWhatIsStored) {
   }
 }
 
+/// Everything that the links of a run cover, as one text.
+std::string all_links(const std::filesystem::path& path) {
+  SqliteDatabase run(path, SqliteDatabase::Mode::kReadOnly);
+  std::string links = head_link(run), link = links;
+  SqliteStatement rows = run.prepare("select id from dwell order by id");
+  while (rows.step()) links += link = dwell_link(run, rows.integer(0), link);
+  return links + closing_link(run);
+}
+
+// The links name no column to protect: they cover what is there.
+TEST_F(RunFile3Test, EachColumnOfEachTableIsInALink) {
+  RunHeader header = plan_of_two();
+  header.plan[1].sweep = 1;
+  header.instruments.push_back({"stage", "Maker", "M", "1", "2", "details"});
+  {
+    RunFile file = RunFile::create(path, header);
+    file.begin_session(start_after(0s));
+    file.keep_transcript(kMorning, [] { return std::vector<WireRow>{{"stage", 1, 2, '<', "bytes"}}; });
+    file.append_event("2026-11-22T08:00:00.000Z", "started", Message("measured by {who}", "A. B."));
+    file.append_environment("2026-11-22T08:00:00.000Z", "start", 23.0, 45.0, 1013.0);
+    append(file, 0, 1.0);
+    const std::vector<StoredReading> readings = late_readings(20, 2.0);
+    DwellRecord passed = dwell_of(readings);
+    passed.motion = DwellMotion{1, 60.0, 200.0, 1e-3};
+    file.append_sweep(std::vector<PassedAngle>{{1, {{1, passed, readings, {{2.0, 0.1}}}}}}, {});
+    file.drop_item(1, 2, "2026-11-22T08:00:10.000Z", Message("unplugged"));
+    file.close_complete("2026-11-22T08:01:00.000Z", {});
+  }
+  std::filesystem::permissions(path, std::filesystem::perms::owner_write, std::filesystem::perm_options::add);
+  {
+    SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)
+        .execute("insert into item_register values(1, 'bias', '1')");
+  }
+  const std::string before = all_links(path);
+  const std::filesystem::path changed = folder / "changed.run";
+  std::size_t columns = 0;
+  SqliteDatabase run = reader();
+  SqliteStatement rows = run.prepare(
+      "select m.name, c.name from sqlite_master m join pragma_table_info(m.name) c where m.type = 'table' "
+      "and m.name "
+      "<> 'witness'");
+  while (rows.step()) {
+    const std::string table = rows.text(0), column = rows.text(1);
+    if (table == "dwell" && column == "chain") continue;  // It is the link.
+    if (table == "encoder_sample" || table == "reading_gap" || table == "seal") ++columns;
+    EXPECT_NE(run.value("select count(*) from " + table), "0") << table << " has no row to be changed";
+    std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+    SqliteDatabase(changed, SqliteDatabase::Mode::kReadWrite)
+        .execute(fmt::format(
+            "update {0} set {1} = case typeof({1}) when 'integer' then {1} + 1000 when 'real' then {1} "
+            "+ 1.0 when 'blob' then x'00' else coalesce({1}, '') || '1' end",
+            table, column));
+    EXPECT_NE(all_links(changed), before) << table << "." << column;
+  }
+  EXPECT_EQ(columns, 4U + 3U + 8U) << "the tables were there";
+}
+
+TEST_F(RunFile3Test, ARowOfNothingIsFound) {
+  {
+    RunFile file = RunFile::create(path, plan_of_two());
+    append(file, 0, 1.0);
+  }
+  EXPECT_TRUE(found("references").good);
+  SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)
+      .execute("insert into reading values(77, 0, 1, 2, 3, 0, null)");
+  EXPECT_THAT(found("references").found, HasSubstr("reading of no dwell"));
+}
+
 TEST_F(RunFile3Test, AnAngleWaitsForTheDiskUnlessItCanBeMadeAgain) {
   const CountedFlushes counted;
   for (const bool repeatable : {false, true}) {
@@ -308,7 +401,7 @@ TEST_F(RunFile3Test, AnAngleWaitsForTheDiskUnlessItCanBeMadeAgain) {
     EXPECT_EQ(CountedFlushes::count() > before, !repeatable);
     EXPECT_EQ(reader().value("select count(*) from reading"), "20") << "another program sees it";
     before = CountedFlushes::count();
-    file.append_event("2026-11-22T08:00:10.000Z", "note", "a person has seen it");
+    file.append_event("2026-11-22T08:00:10.000Z", "note", Message("a person has seen it"));
     EXPECT_GT(CountedFlushes::count(), before) << "what was done by a person is not made again";
   }
 }
@@ -393,11 +486,16 @@ TEST_F(RunFile3Test, AChangedReadingDwellSessionOrPlanBreaksTheChain) {
     RunFile file = RunFile::create(path, plan_of_two());
     file.begin_session(start_after(0s));
     append(file, 0, 1.0);
+    file.append_event("2026-11-22T08:00:00.000Z", "note", Message("before the second angle"));
+    file.append_environment("2026-11-22T08:00:00.000Z", "start", 23.0, 45.0, std::nullopt);
     append(file, 1, 2.0, true);
   }
   EXPECT_TRUE(found("dwells").good) << found("dwells").found;
   for (const char* sql :
-       {"update reading set u = u + 1e-9 where dwell = 1 and k = 3",
+       {"update event set chain = 'x'", "delete from event", "update environment set humidity_percent = 50",
+        "delete from environment", "update dwell set u_angle_deg = 0 where id = 1",
+        "update plan set rate_deg_per_s = 1 where position = 0",
+        "update reading set u = u + 1e-9 where dwell = 1 and k = 3",
         "delete from reading where dwell = 1 and k = 19", "update reading_gap set skipped = 4",
         "delete from reading_gap", "update dwell set r_u = r_u + 1e-9 where id = 1",
         "update session set begun_utc_ns = begun_utc_ns + 1",
@@ -426,24 +524,7 @@ TEST_F(RunFile3Test, AFileOfVersion4IsReadAsItIsAndGoesOnInOneFace) {
     append(file, 0, 1.0);
   }
   EXPECT_EQ(reader().value("select group_concat(k || ' ' || skipped) from reading_gap"), "11 3");
-  {
-    SqliteDatabase database(path, SqliteDatabase::Mode::kReadWrite);
-    database.execute("pragma journal_mode=delete");
-    database.execute(
-        "alter table plan drop column face; alter table dwell drop column face; drop view timed_reading;"
-        "alter table plan drop column sweep; alter table plan drop column rate_deg_per_s; drop table "
-        "encoder_sample;"
-        "alter table dwell drop column sweep; alter table dwell drop column rate_deg_per_s;"
-        "alter table dwell drop column acceleration_deg_per_s2; alter table dwell drop column u_angle_deg;"
-        "alter table reading add column skipped integer;"
-        "update reading set skipped = case when k < 11 then 0 else 3 end; drop table reading_gap;"
-        "create view timed_reading as select r.dwell, r.k, d.first_sequence + r.k + r.skipped as sequence,"
-        " d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns, 0 as utc_ns,"
-        " (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s,"
-        " r.u, r.v, r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as"
-        " temperature_degc from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session");
-    database.execute("pragma user_version = 4");
-  }
+  as_version_4();
   const auto expect_one_face = [&](std::size_t dwells) {
     const StoredRun run = RunFile::load(path);
     ASSERT_EQ(run.record.dwells.size(), dwells);

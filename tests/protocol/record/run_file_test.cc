@@ -8,6 +8,7 @@
 #include <fstream>
 
 #include "protocol/record/dwell_chain.h"
+#include "protocol/record/sqlite.h"
 #include "protocol/record/verify_run.h"
 
 #include "tests/support/failing_disk.h"
@@ -73,6 +74,117 @@ std::string what(const std::function<void()>& action) {
   return {};
 }
 
+StoredRun alone(const std::filesystem::path& file, const test::TemporaryFolder& folder) {
+  const std::filesystem::path copy = folder / "alone" / "copy.run";
+  std::filesystem::create_directories(copy.parent_path());
+  std::filesystem::copy_file(file, copy, std::filesystem::copy_options::overwrite_existing);
+  StoredRun run = RunFile::load(copy);
+  std::filesystem::remove_all(copy.parent_path());
+  return run;
+}
+
+class MovedFileTest : public testing::Test {
+ protected:
+  MovedFileTest() {
+    file.set_state(RunState::kRunning, "t", Message("begins"));
+    file.append_dwell(0, dwell(1), kReadings, {});
+  }
+  /// Writes another angle, and finds both angles and their links in the closed file.
+  void expect_goes_on() {
+    EXPECT_EQ(file.look_for_file(), RunFile::Place::kInPlace);
+    file.append_dwell(1, dwell(2), kReadings, {});
+    file.close_complete("t", {});
+    EXPECT_EQ(RunFile::load(path).record.dwells.size(), 2U);
+    // The readings of this made run do not give its means, and nobody has analysed it.
+    for (const IntegrityCheck& check : verify_run(path)) {
+      if (check.what == "readings" || check.what == "SHA-256") continue;
+      EXPECT_TRUE(check.good) << check.what << check.found;
+    }
+    EXPECT_FALSE(std::filesystem::exists(path.string() + "-wal"));
+  }
+  test::TemporaryFolder folder;
+  std::filesystem::path path = [this] {
+    std::filesystem::create_directory(folder / "runs");
+    return folder / "runs" / "a.run";
+  }();
+  RunFile file = RunFile::create(path, header());
+};
+
+TEST_F(MovedFileTest, ARenamedFileIsWholeWithoutItsLogAndGoesOnWhenItIsBack) {
+  const std::filesystem::path elsewhere = folder / "b.run";
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kInPlace);
+  EXPECT_TRUE(alone(path, folder).record.dwells.empty());  // Its log has the angle.
+  std::filesystem::rename(path, elsewhere);
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kMoved);
+  EXPECT_EQ(alone(elsewhere, folder).record.dwells.size(), 1U);
+  std::ofstream(path) << "another";
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kReplaced);
+  std::filesystem::rename(elsewhere, path);
+  expect_goes_on();
+}
+
+TEST_F(MovedFileTest, ADeletedFileIsWrittenAgain) {
+  std::filesystem::remove(path);
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kWrittenAgain);
+  EXPECT_EQ(RunFile::load(path).record.dwells.size(), 1U);
+  // It is locked as before.
+  EXPECT_THAT(what([&] { RunFile::open_for_append(path); }), HasSubstr("another abcal is writing this run"));
+  expect_goes_on();
+}
+
+TEST_F(MovedFileTest, ARemovedFolderIsWaitedFor) {
+  std::filesystem::remove_all(path.parent_path());
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kMoved);
+  std::filesystem::create_directory(path.parent_path());
+  EXPECT_EQ(file.look_for_file(), RunFile::Place::kWrittenAgain);
+  expect_goes_on();
+}
+
+TEST_F(MovedFileTest, TheLogIsMergedEachMinute) {
+  RunTiming timing;
+  timing.moving_s = 59.9;
+  file.append_dwell(1, dwell(2), kReadings, timing);
+  EXPECT_TRUE(alone(path, folder).record.dwells.empty());
+  timing.moving_s = 60.1;
+  file.append_dwell(2, dwell(3), kReadings, timing);
+  EXPECT_EQ(alone(path, folder).record.dwells.size(), 3U);
+}
+
+TEST_F(MovedFileTest, ALostLogIsNamed) {
+  file.begin_session({});
+  file.append_dwell(1, dwell(2), kReadings, {});
+  const std::filesystem::path copy = folder / "c.run";
+  std::filesystem::copy_file(path, copy);
+  // Not even the head of its session is in the file without the log.
+  EXPECT_EQ(RunFile::missing_log(path), std::nullopt);
+  RunTiming minute;
+  minute.dwelling_s = 61.0;
+  file.append_dwell(2, dwell(3), kReadings, minute);
+  std::filesystem::copy_file(path, copy, std::filesystem::copy_options::overwrite_existing);
+  ASSERT_TRUE(RunFile::missing_log(copy));
+  EXPECT_THAT(RunFile::missing_log(copy)->english(), HasSubstr("its log c.run-wal is gone"));
+  file.set_state(RunState::kInterrupted, "t", Message("stopped"));
+  { const RunFile closed = std::move(file); }
+  EXPECT_EQ(RunFile::missing_log(path), std::nullopt);
+}
+
+TEST(RunFileTest, ALogWithoutItsFileIsNotTakenForThatOfANewRun) {
+  const test::TemporaryFolder folder;
+  std::ofstream(folder / "a.run-wal") << "what a run left";
+  EXPECT_THAT(what([&] { RunFile::create(folder / "a.run", header()); }),
+              HasSubstr("is the log of a run whose own file is gone"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "a.run"));
+}
+
+TEST(RunFileTest, ANameThatIsNoFilesOrNoTextIsRefused) {
+  EXPECT_THAT(what([] { RunFile::create(":memory:", header()); }), HasSubstr("choose another name with -o"));
+  const test::TemporaryFolder folder;
+  EXPECT_THAT(what([&] { RunFile::create(folder / "caf\xe9.run", header()); }), HasSubstr("is not UTF-8"));
+  EXPECT_EQ(std::distance(begin(std::filesystem::directory_iterator(folder.path())),
+                          end(std::filesystem::directory_iterator())),
+            0);
+}
+
 // Without this lock another program that has looked at the run removes the write-ahead log when it leaves,
 // and all later angles go into a file without a name.
 TEST(RunFileTest, TheProgramThatWritesARunKeepsItsLocksWhileItLooksAtTheFile) {
@@ -108,7 +220,7 @@ TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
   {
     RunFile file = RunFile::create(folder / "a.run", header());
     file.append_dwell(0, dwell(1), kReadings, {1, 2, 3, 4});
-    file.append_event("2026-03-01T12:00:01.000Z", "note", "hello");
+    file.append_event("2026-03-01T12:00:01.000Z", "note", Message("hello"));
     file.append_environment("2026-03-01T12:00:00.500Z", "start", 22.5, std::nullopt, 1009.25);
   }
   const StoredRun run = RunFile::load(folder / "a.run");
@@ -133,6 +245,34 @@ TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
   EXPECT_EQ(run.environment[0].humidity_percent, std::nullopt);
   EXPECT_EQ(run.environment[0].pressure_hpa, 1009.25);
   EXPECT_EQ(run.measured, std::vector<std::size_t>{0});
+}
+
+/// A message comes back with its values; what a person wrote has none, whatever it says.
+TEST(RunFileTest, EventsKeepTheirMessages) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  const Message said("{what}; it is measured again", Message("{angle}: not quiet", 3));
+  {
+    RunFile file = RunFile::create(path, header());
+    file.append_event("2026-03-01T12:00:01.000Z", "repeated", said);
+    file.append_event("2026-03-01T12:00:02.000Z", "note", Message::bare(said.english()));
+    file.drop_item(1, 4, "2026-03-01T12:00:03.000Z", Message("item {k} is left out", 1));
+  }
+  const auto events = [&] { return RunFile::load(path).events; };
+  ASSERT_EQ(events().size(), 3U);
+  EXPECT_EQ(events()[0].text.id(), said.id());
+  EXPECT_EQ(events()[0].text, said.english());
+  EXPECT_EQ(events()[1].text.id(), "");
+  EXPECT_EQ(events()[1].text, said.english());
+  EXPECT_EQ(RunFile::load(path).items.front().reason.id(), "item {k} is left out");
+  // A row that says something else, or nothing that can be read, is as if it were not there.
+  for (const char* forged :
+       {R"({"text": "a", "id": "all is well", "values": {}})", R"({"id": 3})", "[", ""}) {
+    SqliteDatabase database(path, SqliteDatabase::Mode::kReadWrite);
+    database.prepare("update message set message = :forged where event = 1").set("forged", forged).run();
+    EXPECT_EQ(events()[0].text.id(), "") << forged;
+    EXPECT_EQ(events()[0].text, said.english()) << forged;
+  }
 }
 
 TEST(RunFileTest, IsReadableWithTheSqliteShell) {
@@ -191,7 +331,7 @@ TEST(RunFileTest, ClosingIsFinishedWhereverTheProgramWasKilledInIt) {
   {
     RunFile file = RunFile::create(path, header());
     file.append_dwell(0, dwell(1), kReadings, {});
-    file.set_state(RunState::kComplete, "2026-03-01T13:00:00.000Z", "all angles measured");
+    file.set_state(RunState::kComplete, "2026-03-01T13:00:00.000Z", Message("all angles measured"));
     std::filesystem::copy_file(path, folder / "killed.run");
     std::filesystem::copy_file(path.string() + "-wal", folder / "killed.run-wal");
   }
@@ -298,6 +438,19 @@ TEST(RunFileTest, RefusesWhatOnlyAnotherProgramPutsIntoAFile) {
       HasSubstr("has the view \"event\", which no run file has"));
   EXPECT_THAT(refusal("trigger.run", "create trigger more after insert on event begin select 1; end"),
               HasSubstr("has the trigger \"more\""));
+  // Exports would show other readings than those that the links cover.
+  EXPECT_THAT(
+      refusal("readings.run",
+              "drop view timed_reading; create view timed_reading as select dwell, k, k as sequence, 0 as "
+              "time_ns, 0 as utc_ns, 0.0 as time_s, u * 2 as u, v, w, 23.0 as temperature_degc from reading"),
+      HasSubstr("has the view \"timed_reading\", which is not that of a run file"));
+  EXPECT_THAT(refusal("column.run", "alter table dwell add column more text"),
+              HasSubstr("has the table \"dwell\", which is not that of a run file"));
+  EXPECT_THAT(refusal("table.run", "create table more(x)"), HasSubstr("has the table \"more\""));
+  EXPECT_THAT(refusal("index.run", "create index more on dwell(item)"), HasSubstr("has the index \"more\""));
+  EXPECT_THAT(refusal("less.run", "drop table witness"), HasSubstr("lacks the table \"witness\""));
+  EXPECT_THAT(refusal("large.run", "insert into meta values('label.more', zeroblob(70000000))"),
+              HasSubstr("larger than any that abcal writes"));
 }
 
 TEST(RunFileTest, RefusesANewerFileAndSaysToUpdate) {
@@ -346,7 +499,7 @@ TEST(RunFileTest, KeepsATranscriptWithEachAngleAndEachChangeOfState) {
   file.append_dwell(0, dwell(1), kReadings, {});
   EXPECT_EQ(stored(), (std::vector{kWritten, kReceived}));
   source.rows = {kEmpty};
-  file.set_state(RunState::kInterrupted, "2026-03-01T12:00:01.000Z", "a fault");
+  file.set_state(RunState::kInterrupted, "2026-03-01T12:00:01.000Z", Message("a fault"));
   EXPECT_EQ(stored(), (std::vector{kWritten, kReceived, kEmpty}));
   EXPECT_EQ(RunFile::load(folder / "a.run").measured.size(), 1U);
 }
@@ -363,12 +516,12 @@ TEST(RunFileTest, ATransactionThatFailsLosesNothingOfTheTranscript) {
   WireSource source;
   file.keep_transcript({}, source.take());
   source.rows = {kWritten};
-  // The commit of an angle fails while its table is gone, after the rows were taken.
+  // The commit of an angle fails while a disk takes no row of its table, after the rows were taken.
   SqliteDatabase other(folder / "a.run", SqliteDatabase::Mode::kReadWrite);
-  other.execute("alter table wire rename to hidden");
+  other.execute("create trigger full before insert on wire begin select raise(abort, 'disk is full'); end");
   EXPECT_THROW(file.append_dwell(0, dwell(1), kReadings, {}), RunFileError);
-  other.execute("alter table hidden rename to wire");
-  file.set_state(RunState::kInterrupted, "now", "a fault");
+  other.execute("drop trigger full");
+  file.set_state(RunState::kInterrupted, "now", Message("a fault"));
   EXPECT_EQ(RunFile::load_transcript(folder / "a.run")->rows, std::vector{kWritten});
 }
 

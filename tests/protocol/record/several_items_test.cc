@@ -118,7 +118,7 @@ TEST_F(SeveralItemsFileTest, SaysHowFarEachItemWasMeasured) {
     RunFile file = RunFile::create(path, two_items());
     append(file, 0);
     append(file, 1);
-    file.drop_item(2, 2, "2026-11-22T08:00:10.000Z", "item 2: no reading for 5 s");
+    file.drop_item(2, 2, "2026-11-22T08:00:10.000Z", Message("item 2: no reading for 5 s"));
     append(file, 2, {1});
     file.close_complete("2026-11-22T08:01:00.000Z", {});
   }
@@ -151,7 +151,7 @@ TEST_F(SeveralItemsFileTest, VerifyNoticesAChangedStatementOfAnEnd) {
   {
     RunFile file = RunFile::create(path, two_items());
     append(file, 0);
-    file.drop_item(2, 1, "2026-11-22T08:00:10.000Z", "item 2: unplugged");
+    file.drop_item(2, 1, "2026-11-22T08:00:10.000Z", Message("item 2: unplugged"));
     append(file, 1, {1});
   }
   EXPECT_TRUE(items_check().good) << items_check().found;

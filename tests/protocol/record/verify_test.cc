@@ -8,6 +8,7 @@
 #include <iterator>
 
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_seal.h"
 #include "protocol/record/sha256.h"
 #include "tests/support/temporary_folder.h"
 
@@ -55,20 +56,21 @@ class VerifyTest : public testing::Test {
     header.labels["operator.name"] = "day shift";
     header.plan.push_back({1, 1, false, Angle{}, Angle{}, Angle{}});
     RunFile file = RunFile::create(path, header);
-    file.append_event("2026-03-01T12:00:00.000Z", "started", "run started");
+    file.append_event("2026-03-01T12:00:00.000Z", "started", Message("run started"));
     DwellRecord dwell;
     dwell.experiment = dwell.n = 1;
     dwell.mean = Eigen::Vector3d(0.1, 0.2, 0.3);
     file.append_dwell(0, dwell, {}, {});
-    file.append_event("2026-03-01T12:01:00.000Z", "flag", "vibration");
+    file.append_event("2026-03-01T12:01:00.000Z", "flag", Message("vibration"));
     hash = file.close_complete("2026-03-01T12:02:00.000Z", {});
     ResultsFile results(path, hash);
     results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "abc", "{\"a\": 1}");
     results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "joint", "{\"a\": 2}");
   }
 
-  void make_writable() {
-    std::filesystem::permissions(path, std::filesystem::perms::owner_write,
+  void make_writable() { make_writable(path); }
+  static void make_writable(const std::filesystem::path& file) {
+    std::filesystem::permissions(file, std::filesystem::perms::owner_write,
                                  std::filesystem::perm_options::add);
   }
   /// The checks that are not good; every one, as words.
@@ -86,8 +88,8 @@ class VerifyTest : public testing::Test {
 
 TEST_F(VerifyTest, ARunAsItWasWrittenIsGood) {
   EXPECT_EQ(bad(), "");
-  // State, events, dwells, readings, hash, results file, analyses, certificates.
-  EXPECT_EQ(verify_run(path).size(), 8U);
+  // State, events, references, dwells, readings, hash, results file, analyses, certificates.
+  EXPECT_EQ(verify_run(path).size(), 9U);
 }
 
 TEST_F(VerifyTest, AnyChangedByteOfTheRunIsFound) {
@@ -115,9 +117,9 @@ TEST_F(VerifyTest, AChangedEventBreaksTheChainEvenInARunThatIsOpen) {
   const std::filesystem::path open = folder / "open.run";
   {
     RunFile file = RunFile::create(open, {});
-    file.append_event("t1", "started", "a");
-    file.append_event("t2", "flag", "b");
-    file.append_event("t3", "flag", "c");
+    file.append_event("t1", "started", Message("a"));
+    file.append_event("t2", "flag", Message("b"));
+    file.append_event("t3", "flag", Message("c"));
   }
   const auto chain = [&] {
     for (const IntegrityCheck& check : verify_run(open))
@@ -132,6 +134,53 @@ TEST_F(VerifyTest, AChangedEventBreaksTheChainEvenInARunThatIsOpen) {
   EXPECT_TRUE(chain().good);
   SqliteDatabase(open, SqliteDatabase::Mode::kReadWrite).execute("delete from event where id = 2");
   EXPECT_FALSE(chain().good);
+}
+
+// SQLite would read a log that lies beside a closed run, and show what is in it.
+TEST_F(VerifyTest, ALogThatAnotherProgramPutsBesideAClosedRunIsNotRead) {
+  const std::filesystem::path copy = folder / "copy.run";
+  std::filesystem::copy_file(path, copy);
+  make_writable(copy);
+  {
+    SqliteDatabase changed(copy, SqliteDatabase::Mode::kReadWrite);
+    changed.use_write_ahead_log();
+    changed.execute("pragma wal_checkpoint(truncate); update dwell set r_u = 0.9");
+    std::filesystem::copy_file(copy.string() + "-wal", path.string() + "-wal");
+  }
+  const auto words = [&](const auto& read) {
+    try {
+      read();
+    } catch (const RunFileError& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  for (const std::string& refused :
+       {words([&] { (void)RunFile::load(path); }), words([&] { verify_run(path); }),
+        words([&] { require_as_stored(path); })})
+    EXPECT_THAT(refused, HasSubstr("a.run-wal: is not of "));
+}
+
+TEST_F(VerifyTest, ARunThatWasChangedGivesNoResult) {
+  EXPECT_NO_THROW(require_as_stored(path));
+  make_writable(path);
+  SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute("update environment set utc = 'x'; vacuum");
+  EXPECT_THROW(require_as_stored(path), RunFileError);
+  std::filesystem::remove(ResultsFile::path_beside(path));
+  EXPECT_NO_THROW(require_as_stored(path)) << "nothing names another hash";
+}
+
+TEST_F(VerifyTest, NothingIsWrittenThroughALink) {
+  const std::filesystem::path results = ResultsFile::path_beside(path), other = folder / "other";
+  std::filesystem::rename(results, other);
+  std::filesystem::create_symlink(other, results);
+  const std::string bytes = read_file(other);
+  EXPECT_THROW(ResultsFile(path, hash), RunFileError);
+  EXPECT_THROW((void)keep_time_stamp(path, "token"), RunFileError);
+  EXPECT_EQ(read_file(other), bytes);
+  // Nor is a new run begun whose results would lead elsewhere.
+  std::filesystem::create_symlink(folder / "nowhere", folder / "b.run.results");
+  EXPECT_THROW(RunFile::create(folder / "b.run", {}), RunFileError);
 }
 
 TEST_F(VerifyTest, AChangedAnalysisIsFound) {
@@ -191,7 +240,7 @@ TEST_F(VerifyTest, MissingResultsAreSaidAndAnOpenRunHasNoHash) {
   std::filesystem::remove(ResultsFile::path_beside(path));
   EXPECT_THAT(bad(), HasSubstr("missing"));
   const std::filesystem::path open = folder / "open.run";
-  RunFile::create(open, {}).append_event("t1", "started", "a");
+  RunFile::create(open, {}).append_event("t1", "started", Message("a"));
   EXPECT_THAT(verify_run(open).front().found, HasSubstr("only a closed run has a hash"));
 }
 

@@ -95,7 +95,7 @@ TEST_F(Version2Test, AnInterruptedRunGoesOnAsVersion3WithEveryNumberKept) {
   const StoredRun after = RunFile::load(path);
   {
     SqliteDatabase database(path, SqliteDatabase::Mode::kReadOnly);
-    EXPECT_EQ(run_file_version(database), kRunFileVersion);
+    EXPECT_EQ(run_file_version(database), 5);
     EXPECT_EQ(database.value("select value from meta where key = 'schema'"), "abcal.run/3");
     EXPECT_EQ(database.value("select count(*) from sqlite_master where name like '%_2'"), "0");
     EXPECT_EQ(database.value("select group_concat(distinct role) from dwell"), "plan");

@@ -23,17 +23,20 @@ using testing::HasSubstr;
 
 class SilentObserver : public RunObserver {
  public:
-  void phase(std::size_t, RunPhase) override {}
+  void phase(std::size_t, RunPhase phase) override {
+    if (on_phase) on_phase(phase);
+  }
   void dwells(std::size_t, std::span<const ItemDwell> dwells) override {
     measured.push_back(dwells.front().dwell);
     if (after_dwell) after_dwell();
   }
-  void notice(std::string_view, std::string_view text, std::optional<int>) override {
+  void notice(std::string_view, const Message& text, std::optional<int>) override {
     notices.emplace_back(text);
   }
   std::vector<DwellRecord> measured;
   std::vector<std::string> notices;
   std::function<void()> after_dwell;
+  std::function<void(RunPhase)> on_phase;
 };
 
 /// Records the moves and counts the halts of the stage.
@@ -111,7 +114,7 @@ class ExperimentRunTest : public testing::Test {
       EXPECT_EQ(stage->halts, 1);
       const StoredRun stored = RunFile::load(folder / "a.run");
       EXPECT_EQ(stored.state, RunState::kInterrupted);
-      EXPECT_THAT(stored.events.back().text, HasSubstr(error.detail().substr(0, 20)));
+      EXPECT_THAT(stored.events.back().text, HasSubstr(error.detail().english().substr(0, 20)));
       EXPECT_EQ(stored.record.dwells.size(), observer.measured.size());
       return error.what();
     }
@@ -178,6 +181,51 @@ TEST_F(ExperimentRunTest, ComesToEveryAngleFromBelow) {
     }
   }
   EXPECT_EQ(final_moves_down, 0);
+}
+
+/// A simulated clock that acts once, at a time.
+class ActingClock final : public Clock {
+ public:
+  explicit ActingClock(sim::SimClock& inner) : inner_(inner) {}
+  Instant now() const override { return inner_.now(); }
+  UtcTime utc_now() const override { return inner_.utc_now(); }
+  void sleep_until(Instant instant) override {
+    inner_.sleep_until(instant);
+    if (act && inner_.now() >= at) std::exchange(act, nullptr)();
+  }
+  Instant at;
+  std::function<void()> act;
+
+ private:
+  sim::SimClock& inner_;
+};
+
+// Seen: a run whose file was renamed, or whose folder was removed, was measured to its end and lost.
+TEST_F(ExperimentRunTest, HoldsWhileItsFileIsAway) {
+  build();
+  const std::filesystem::path path = folder / "a.run", away = folder / "b.run";
+  ActingClock acting(clock);
+  int holds = 0;
+  observer.after_dwell = [&] {
+    if (observer.measured.size() == 3) std::filesystem::rename(path, away);
+    if (observer.measured.size() == 5) std::filesystem::remove(path);
+  };
+  observer.on_phase = [&](RunPhase phase) {
+    if (phase != RunPhase::kHolding) return;
+    ++holds;
+    EXPECT_EQ(observer.measured.size(), 3U);
+    EXPECT_THAT(observer.notices.back(), HasSubstr("is not at its name any more"));
+    acting.at = clock.now() + std::chrono::seconds(30);
+    acting.act = [&, moves = stage->moves.size()] {
+      EXPECT_EQ(stage->moves.size(), moves);
+      std::filesystem::rename(away, path);
+    };
+  };
+  run_experiments(instruments(acting), {plan, settings(), {}}, *file, observer, stop.get_token());
+  EXPECT_EQ(holds, 1);
+  EXPECT_THAT(observer.notices, testing::Contains(HasSubstr("is at its name again")));
+  EXPECT_THAT(observer.notices, testing::Contains(HasSubstr("was deleted, and has been written again")));
+  EXPECT_EQ(RunFile::load(path).record.dwells.size(), plan.size());
 }
 
 TEST_F(ExperimentRunTest, LeavesOutTheAnglesThatAreMeasuredAlready) {

@@ -119,7 +119,7 @@ TEST(FullScale, ASoundItemThatIsNotLinearIsNoWrongOne) {
     }
     for (int experiment = 1; experiment <= 3; ++experiment) {
       const auto dwells = circle(experiment, 12, accelerometer);
-      EXPECT_EQ(full_scale_excess(dwells, 1.0, {}).value_or(""), "");
+      EXPECT_EQ(full_scale_excess(dwells, 1.0, {}).value_or(Message()), "");
       EXPECT_NEAR(response_of_circle(dwells)->at_zero, 1.0, 1e-3);
       // Twice the nominal is found all the same.
       EXPECT_TRUE(full_scale_excess(dwells, 0.5, {}));

@@ -25,7 +25,7 @@ class KeepingObserver final : public RunObserver {
  public:
   void phase(std::size_t position, RunPhase phase) override { phases.emplace_back(position, phase); }
   void dwells(std::size_t, std::span<const ItemDwell>) override {}
-  void notice(std::string_view kind, std::string_view text, std::optional<int>) override {
+  void notice(std::string_view kind, const Message& text, std::optional<int>) override {
     notices.emplace_back(kind, text);
   }
   std::vector<std::pair<std::size_t, RunPhase>> phases;

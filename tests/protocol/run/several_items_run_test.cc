@@ -31,7 +31,7 @@ class KeepingDwells final : public RunObserver {
     if (phase == RunPhase::kDwelling && on_dwelling) on_dwelling(position);
   }
   void dwells(std::size_t, std::span<const ItemDwell> dwells) override { sizes.push_back(dwells.size()); }
-  void notice(std::string_view kind, std::string_view text, std::optional<int> item) override {
+  void notice(std::string_view kind, const Message& text, std::optional<int> item) override {
     notices.push_back(std::string(kind) + ": " + std::string(text));
     if (kind == kItemDroppedEvent) dropped.push_back(item.value());
   }

@@ -136,7 +136,7 @@ class KeepingObserver final : public RunObserver {
     positions.push_back(position);
     if (after_angle) after_angle();
   }
-  void notice(std::string_view, std::string_view text, std::optional<int>) override {
+  void notice(std::string_view, const Message& text, std::optional<int>) override {
     notices.emplace_back(text);
   }
   std::vector<std::size_t> positions;

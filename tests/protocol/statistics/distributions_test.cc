@@ -42,6 +42,17 @@ TEST(StudentTest, ManyDegreesAreNormalAndNoneIsNothing) {
     EXPECT_TRUE(std::isnan(student_t_above(0.025, degrees)));
 }
 
+TEST(StudentTest, BetweenDoesNotCancelInATail) {
+  const auto between = [](double a, double b) { return student_t_between(a, b, kInfinity); };
+  EXPECT_EQ(between(-kInfinity, kInfinity), 1.0);
+  EXPECT_DOUBLE_EQ(between(9.0, 10.0), between(-10.0, -9.0));
+  EXPECT_NEAR(between(9.0, 10.0) / 1.1285122074e-19, 1.0, 1e-9);
+  EXPECT_DOUBLE_EQ(between(10.0, kInfinity), normal_tail(10.0));
+  EXPECT_EQ(between(1.0, 1.0), 0.0);
+  // Cauchy's: atan has a closed form, over 0 too.
+  EXPECT_NEAR(student_t_between(-1.0, 2.0, 1.0), (std::atan(2.0) + std::atan(1.0)) / std::numbers::pi, 1e-15);
+}
+
 TEST(Chi2Test, TwoDegreesAreExponential) {
   for (const double p : {0.5, 1e-3, 1e-20}) {
     EXPECT_NEAR(chi2_above(p, 2.0) / (-2.0 * std::log(p)), 1.0, 1e-13) << p;

@@ -91,7 +91,7 @@ TEST(JointUncertaintyTest, ATrialIsSolvedAsTheEstimatorItselfSolvesIt) {
 }
 
 // With normal distributions and a nearly linear model the errors have the posterior covariance. 3000 trials
-// give u to 1.3 %, 95 % intervals to 2.5 %; the largest of 18 to four of these.
+// give u to 1.3 %, 95.45 % intervals to 2.5 %; the largest of 18 to four of these.
 TEST(JointUncertaintyTest, NormalEffectsGiveThePosterior) {
   RunRecord record = measured(24, EffectSizes{});
   // As a run file states them. Signs of the hysteresis that nobody knows are stated too large by up to 12 %.
@@ -108,29 +108,29 @@ TEST(JointUncertaintyTest, NormalEffectsGiveThePosterior) {
   EXPECT_TRUE(study.warnings.empty()) << study.warnings.front();
 }
 
-/// Half the 95 % interval of an output over its standard deviation: 1.96 for a normal distribution.
+/// Half the 95.45 % interval of an output over its standard deviation: 2 for a normal distribution.
 double half_width(const RunUncertainty& study, int k) {
   const CoverageInterval& interval = study.combined.coverage[static_cast<std::size_t>(k)].symmetric;
   return 0.5 * (interval.high - interval.low) / study.combined.standard_deviation(k);
 }
 
 // A turn of all about X is not determined by the readings, but by the most narrow statement on Zy, d3 and
-// F_X: where that is on F_X, s_wy has its distribution. A rectangular one has 95 % of its values within 0.95
-// sqrt(3) = 1.645 standard deviations.
+// F_X: where that is on F_X, s_wy has its distribution. A rectangular one has 95.45 % of its values within
+// 0.9545 sqrt(3) = 1.653 standard deviations.
 TEST(JointUncertaintyTest, TheShapeOfAStatedSizeIsKept) {
   EffectSizes sizes = without_further_effects({});
   sizes.zero = Angle::degrees(0.001);
   sizes.step = Angle::degrees(1e-5);
   RunRecord record = measured(12, sizes, 1e-6);
   const int s_wy = 7;
-  EXPECT_NEAR(half_width(joint_uncertainty(record, with_trials(4000)), s_wy), 1.96, 0.08);
+  EXPECT_NEAR(half_width(joint_uncertainty(record, with_trials(4000)), s_wy), 2.0, 0.08);
   record.tolerances.shapes = {{"zero_deg", Shape::kRectangular}};
   const RunUncertainty study = joint_uncertainty(record, with_trials(4000));
-  EXPECT_NEAR(half_width(study, s_wy), 0.95 * std::sqrt(3.0), 0.05);
-  // The interval is 16 % shorter than U of the result: that is said.
+  EXPECT_NEAR(half_width(study, s_wy), 0.9545 * std::sqrt(3.0), 0.05);
+  // The interval is 17 % shorter than U of the result: that is said.
   ASSERT_FALSE(study.warnings.empty());
   EXPECT_THAT(study.warnings.front(), HasSubstr("s_"));
-  EXPECT_THAT(study.warnings.front(), HasSubstr("half 95 % interval by Monte Carlo"));
+  EXPECT_THAT(study.warnings.front(), HasSubstr("half 95.45 % interval by Monte Carlo"));
   // Each output is named once, however many of its numbers differ.
   std::set<std::string> named;
   for (const std::string& warning : study.warnings)

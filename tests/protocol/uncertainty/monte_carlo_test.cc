@@ -30,6 +30,7 @@ double rectangular(RandomStream& stream, double u) {
 MonteCarloResult run(const TrialBlock& block, std::uint64_t trials) {
   MonteCarloOptions options;
   options.trials = trials;
+  options.coverage_probability = 0.95;  // that of the references
   return run_monte_carlo(1, block, options);
 }
 

@@ -308,8 +308,7 @@ TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
   UncertaintyOptions options = quick();
   options.paper_preset = true;
   const RunUncertainty study = run_uncertainty(record, options);
-  // docs/theory/abc_protocol.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and
-  // O_v.
+  // docs/theory/abc_protocol.md: Table 2's accelerometer gives more than the bounds for s_vy, s_v and O_v.
   std::string all;
   for (const std::string& warning : study.warnings) all += warning + "\n";
   for (const char* symbol : {"s_vy:", "s_v:", "O_v:"}) EXPECT_NE(all.find(symbol), std::string::npos) << all;

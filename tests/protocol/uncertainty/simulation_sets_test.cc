@@ -119,7 +119,7 @@ TEST(SimulationSetTest, Abc1MeetsTheDominantEntriesOfTables3And4) {
   for (const int k : {1, 2, 3, 5, 6, 7, 9, 10, 11, 16, 17}) {
     EXPECT_NEAR(random.standard_deviation(k) / printed(k), 1.0, 0.08) << output_symbol(k);
   }
-  // docs/theory/abc_protocol.md, slip 3: with Table 2's accelerometer these do not match the print.
+  // docs/reproduction.md, error 4: with Table 2's accelerometer these do not match the print.
   const MonteCarloResult& table_2 = *set.cases[0].monte_carlo;
   EXPECT_NEAR(table_2.standard_deviation(4), 3.3e-5, 0.1e-5);  // s_vy
   EXPECT_NEAR(table_2.standard_deviation(9), 4.8e-5, 0.1e-5);  // O

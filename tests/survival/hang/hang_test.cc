@@ -53,14 +53,17 @@ enum class Injection {
   kKillRun,
   kKillGuard,
   kStopGuard,
-  kUnplug,         ///< The port is gone for 2 s, in motion.
-  kUnplugAndKill,  ///< The port is gone for 2 s, and the program is killed meanwhile.
-  kFreezeBoth,     ///< Program and guard stand still for 2 s, as in a frozen container.
-  kBabble,         ///< Killed, and the controller answers with lines of 64 kB for half a second.
-  kLongBabble,     ///< The same with lines of 1 MB.
-  kKillBoth,       ///< Program and guard are killed at once: nothing halts (docs/halting.md).
-  kSecondRun,      ///< Another run on the same bench begins.
-  kStopBench,      ///< SIGSTOP of the process that holds the bench of a console.
+  kUnplug,              ///< The port is gone for 2 s, in motion.
+  kUnplugAndKill,       ///< The port is gone for 2 s, and the program is killed meanwhile.
+  kUnplugAndEnd,        ///< The port is gone for 2 s; SIGTERM after 0.5 s, then Ctrl-C.
+  kUnplugAndKillGuard,  ///< The port is gone for 2 s, and the guard is killed meanwhile.
+  kSuspend,             ///< Ctrl-Z.
+  kFreezeBoth,          ///< Program and guard stand still for 2 s, as in a frozen container.
+  kBabble,              ///< Killed, and the controller answers with lines of 64 kB for half a second.
+  kLongBabble,          ///< The same with lines of 1 MB.
+  kKillBoth,            ///< Program and guard are killed at once: nothing halts (docs/halting.md).
+  kSecondRun,           ///< Another run on the same bench begins.
+  kStopBench,           ///< SIGSTOP of the process that holds the bench of a console.
 };
 
 constexpr auto kInjections = names<Injection>({{Injection::kStopRun, "stop_run"},
@@ -70,6 +73,9 @@ constexpr auto kInjections = names<Injection>({{Injection::kStopRun, "stop_run"}
                                                {Injection::kStopGuard, "stop_guard"},
                                                {Injection::kUnplug, "unplug"},
                                                {Injection::kUnplugAndKill, "unplug_and_kill"},
+                                               {Injection::kUnplugAndEnd, "unplug_and_end"},
+                                               {Injection::kUnplugAndKillGuard, "unplug_and_kill_guard"},
+                                               {Injection::kSuspend, "suspend"},
                                                {Injection::kFreezeBoth, "freeze_both"},
                                                {Injection::kBabble, "babble"},
                                                {Injection::kLongBabble, "long_babble"},
@@ -79,6 +85,11 @@ constexpr auto kInjections = names<Injection>({{Injection::kStopRun, "stop_run"}
 
 std::string name_of(Injection injection) {
   return std::string(kInjections.of(injection));
+}
+
+/// Whether the run may go on by itself when the port is back.
+bool may_go_on(Injection injection) {
+  return injection == Injection::kUnplug || injection == Injection::kUnplugAndKillGuard;
 }
 
 /// The guard that a program has started; -1: none.
@@ -223,6 +234,22 @@ class HangTest : public ProgramTest {
         run->signal(SIGKILL);
         from += 2s;
         break;
+      case Injection::kUnplugAndEnd:
+        unplug();
+        from += 2s;
+        std::this_thread::sleep_for(500ms);
+        run->signal(SIGTERM);
+        std::this_thread::sleep_for(1200ms);
+        run->signal(SIGINT);
+        break;
+      case Injection::kUnplugAndKillGuard:
+        unplug();
+        ::kill(guard, SIGKILL);
+        from += 2s;
+        break;
+      case Injection::kSuspend:
+        run->signal(SIGTSTP);
+        break;
       case Injection::kFreezeBoth:
         run->signal(SIGSTOP);
         ::kill(guard, SIGSTOP);
@@ -277,8 +304,11 @@ class HangTest : public ProgramTest {
       start_in_motion(random);
       if (HasFatalFailure()) return;
       const std::vector<RunEvent> events = RunFile::load(folder / fmt::format("run-{}.run", runs)).events;
-      EXPECT_TRUE(std::ranges::any_of(
-          events, [](const RunEvent& e) { return e.text.find("did not end in order") != std::string::npos; }))
+      EXPECT_TRUE(std::ranges::any_of(events,
+                                      [](const RunEvent& e) {
+                                        return e.text.english().find("did not end in order") !=
+                                               std::string::npos;
+                                      }))
           << "the run says nothing of the session before\n"
           << test::read_file(folder / "state/abcal/motion.log");
       run->signal(SIGINT);
@@ -343,18 +373,44 @@ class HangTest : public ProgramTest {
         ++dwells;
       }
     }
-    const auto restless = [&](const char* axis) {
-      const std::string state = axes.contains(axis) ? axes[axis]["state"].get<std::string>() : "not moved";
-      return state == "may be moving" || state == "unreachable";
+    const auto rests = [&](const char* axis) {
+      const std::string state = state_of(axis);
+      return state == "at rest" || state == "not moved";
     };
-    return activity == "idle" && bench_state == "on" && !restless("x") && !restless("z");
+    return activity == "idle" && bench_state == "on" && rests("x") && rests("z");
+  }
+
+  /// State of an axis by the latest message to the page.
+  std::string state_of(const char* axis) const {
+    return axes.contains(axis) ? axes[axis]["state"].get<std::string>() : "unknown";
+  }
+
+  /// A jog of X, which takes half a minute.
+  void start_jog() {
+    start_console();
+    if (HasFatalFailure()) return;
+    ASSERT_TRUE(page->ok({{"do", "jog"}, {"axis", "x"}, {"by_deg", 150}, {"confirmed", true}}));
+    ASSERT_TRUE(test::wait_for(
+        [&] {
+          return control->ask({{"do", "status"}}).at("x").at("actual_deg").get<double>() > 10.0;
+        },
+        60s));
+    ASSERT_TRUE(control->anything_moves());
+    holder = std::stoi(test::read_file(bench_lock()));
+    guard = guard_of(holder);
+    ASSERT_GT(guard, 0);
+  }
+  std::string bench_lock() const {
+    return console::default_bench_socket({"bench.toml", folder / "runs", 1.0}).string() + ".lock";
+  }
+  void end_console() {
+    server->signal(SIGINT);
+    server->wait();
   }
 
   void stop_bench(int times) {
     start_console();
     if (HasFatalFailure()) return;
-    const std::string lock =
-        console::default_bench_socket({"bench.toml", folder / "runs", 1.0}).string() + ".lock";
     std::mt19937_64 random(20261128);
     std::string file;
     for (int k = 0; k < times; ++k) {
@@ -373,7 +429,7 @@ class HangTest : public ProgramTest {
           },
           60s));
       page_says_idle();
-      const pid_t holder = std::stoi(test::read_file(lock));
+      holder = std::stoi(test::read_file(bench_lock()));
       ::kill(holder, SIGSTOP);
       const auto from = std::chrono::steady_clock::now();
       bool was_idle = false;
@@ -393,15 +449,22 @@ class HangTest : public ProgramTest {
       for (const auto& entry : std::filesystem::directory_iterator(folder / "runs"))
         if (entry.path().extension() == ".run") file = entry.path().filename();
     }
-    server->signal(SIGINT);
-    server->wait();
+    end_console();
   }
 
   void end_run(Injection injection) {
     std::this_thread::sleep_for(std::exchange(thaw_after, 0s));
     if (injection == Injection::kStopThread) ::ptrace(PTRACE_DETACH, run->pid(), nullptr, nullptr);
     run->signal(SIGCONT);
-    if (injection == Injection::kUnplug) {  // It goes on by itself when the port is back.
+    if (injection == Injection::kUnplugAndEnd) {
+      run->wait();
+      EXPECT_THAT(run->err(),
+                  HasSubstr(fmt::format("waits until abcal-guard (process {}) has halted it", guard)));
+      EXPECT_THAT(run->err(), HasSubstr("axis X: did not acknowledge the halt, may be moving since"));
+      EXPECT_THAT(run->err(), HasSubstr("all axes are at rest"));
+      return;
+    }
+    if (may_go_on(injection)) {
       run->signal(SIGINT);
       run->wait();
       return;
@@ -409,10 +472,13 @@ class HangTest : public ProgramTest {
     const int code = run->wait();
     if (injection == Injection::kStopRun || injection == Injection::kStopThread ||
         injection == Injection::kKillGuard || injection == Injection::kStopGuard ||
-        injection == Injection::kFreezeBoth) {
+        injection == Injection::kSuspend || injection == Injection::kFreezeBoth) {
       EXPECT_EQ(code, 3) << run->err();
       EXPECT_THAT(run->err(), HasSubstr("guard")) << "the reason";
       EXPECT_THAT(run->err(), HasSubstr("resume"));
+      if (injection == Injection::kSuspend) {
+        EXPECT_THAT(run->err(), HasSubstr("Ctrl-Z"));
+      }
       EXPECT_THAT(run->err(), Not(HasSubstr("may be moving"))) << "the guard has confirmed the rest";
       EXPECT_THAT(run->err(), Not(HasSubstr("the watchdog halted"))) << "the guard was the first";
     }
@@ -437,18 +503,21 @@ class HangTest : public ProgramTest {
       start_in_motion(random);
       if (HasFatalFailure()) return;
       const SteadyTime from = inject(injection);
+      if (HasFailure()) return;
       // Longer than the patience of the watchdog: the reason is the guard's halt nevertheless.
       if (injection == Injection::kStopRun && k == 0) thaw_after = 6s;
       const bool babbles = injection == Injection::kBabble || injection == Injection::kLongBabble;
       const auto babble = babbles ? 500ms : 0ms;
-      if (injection ==
-          Injection::kUnplug) {  // The run goes on by itself, but only once the axes were at rest.
+      if (may_go_on(injection)) {  // But only once the axes were at rest.
         std::this_thread::sleep_until(from);
         EXPECT_TRUE(test::wait_for([&] { return !control->anything_moves(); }, kLimit + kDeceleration));
         end_run(injection);
         continue;
       }
-      expect_at_rest_after(from, kLimit + kDeceleration + babble);
+      // Before Ctrl-Z suspends the program, not a second after the last beat.
+      const auto limit = injection == Injection::kSuspend ? 500ms : kLimit;
+      expect_at_rest_after(from, limit + kDeceleration + babble);
+      if (HasFailure()) run->signal(SIGINT);  // A run that was not halted would go on to its end.
       end_run(injection);
       // The next run finds the ports free.
       ASSERT_TRUE(test::wait_for([&] { return ::kill(guard, 0) != 0 || guard_of(run->pid()) < 0; }, 20s));
@@ -466,7 +535,7 @@ class HangTest : public ProgramTest {
   int dwells = 0;
   std::string port_of_x;
   bool is_sweeping = false;
-  pid_t guard = -1;
+  pid_t guard = -1, holder = -1;
   int runs = 0;
   std::chrono::seconds thaw_after{0};
   std::chrono::milliseconds slowest{0};
@@ -488,7 +557,12 @@ INSTANTIATE_TEST_SUITE_P(Quick, EachInjection,
                          testing::Combine(testing::Values("pi_gcs"),
                                           testing::Values(Injection::kStopRun, Injection::kStopThread,
                                                           Injection::kKillGuard, Injection::kUnplugAndKill,
+                                                          Injection::kUnplugAndKillGuard, Injection::kSuspend,
                                                           Injection::kFreezeBoth)),
+                         name_of_case);
+INSTANTIATE_TEST_SUITE_P(QuickEnd, EachInjection,
+                         testing::Combine(testing::Values("pi_gcs", "zaber_ascii", "newport_xps"),
+                                          testing::Values(Injection::kUnplugAndEnd)),
                          name_of_case);
 
 class LongEachInjection : public EachInjection {};
@@ -508,9 +582,10 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Combine(testing::ValuesIn(names_of_stages()),
                      testing::Values(Injection::kStopRun, Injection::kStopThread, Injection::kKillRun,
                                      Injection::kKillGuard, Injection::kStopGuard, Injection::kUnplug,
-                                     Injection::kUnplugAndKill, Injection::kFreezeBoth, Injection::kBabble,
-                                     Injection::kLongBabble, Injection::kKillBoth, Injection::kSecondRun,
-                                     Injection::kStopBench)),
+                                     Injection::kUnplugAndKill, Injection::kUnplugAndEnd,
+                                     Injection::kUnplugAndKillGuard, Injection::kSuspend,
+                                     Injection::kFreezeBoth, Injection::kBabble, Injection::kLongBabble,
+                                     Injection::kKillBoth, Injection::kSecondRun, Injection::kStopBench)),
     name_of_case);
 
 /// The same while an axis turns through a circle at a constant rate.
@@ -535,7 +610,7 @@ INSTANTIATE_TEST_SUITE_P(EachStage, LongInSweep,
                          testing::Combine(testing::ValuesIn(names_of_stages()),
                                           testing::Values(Injection::kStopRun, Injection::kKillRun,
                                                           Injection::kKillGuard, Injection::kUnplug,
-                                                          Injection::kFreezeBoth)),
+                                                          Injection::kUnplugAndEnd, Injection::kFreezeBoth)),
                          name_of_case);
 
 /// Stop from another program reaches the guard of a run that hangs, which confirms the rest of each axis.
@@ -559,6 +634,55 @@ TEST_F(HangTest, StopOfAnotherProgramReachesTheGuardDirectly) {
   EXPECT_EQ(run->wait(), 3) << run->err();
   EXPECT_THAT(run->err(), HasSubstr("stopped by the test"));
   EXPECT_THAT(test::read_file(folder / "state/abcal/motion.log"), HasSubstr("stopped by the test"));
+}
+
+/// The page says it, too, and Stop can be pressed.
+TEST_F(HangTest, AJogWhosePortIsGoneIsHaltedAtItsReturnAndNotIdleBefore) {
+  start_emulator("pi_gcs");
+  start_jog();
+  if (HasFatalFailure()) return;
+  page_says_idle();
+  control->ask({{"do", "fault"}, {"kind", "unplug"}, {"instrument", port_of_x}, {"for_s", 2.0}});
+  const auto from = std::chrono::steady_clock::now() + 2s;
+  bool was_idle = false;
+  while (std::chrono::steady_clock::now() < from + kLimit + kDeceleration) {
+    if (control->anything_moves()) was_idle = was_idle || page_says_idle();
+    std::this_thread::sleep_for(5ms);
+  }
+  EXPECT_FALSE(was_idle) << "idle, or a grey Stop, in motion";
+  EXPECT_FALSE(control->anything_moves());
+  EXPECT_TRUE(test::wait_for([&] { return page_says_idle(); }, 20s)) << activity << bench_state << axes;
+  end_console();
+}
+
+/// Nobody is left who could halt it or see it stop: nobody says that it is at rest, and no Stop is called
+/// done.
+TEST_F(HangTest, AJogWhoseProgramAndGuardAreKilledIsNotKnownToBeAtRest) {
+  start_emulator("pi_gcs");
+  start_jog();
+  if (HasFatalFailure()) return;
+  ::kill(holder, SIGSTOP);  // Neither may see the other die.
+  ::kill(guard, SIGKILL);
+  ::kill(holder, SIGKILL);
+  EXPECT_TRUE(test::wait_for(
+      [&] {
+        EXPECT_FALSE(page_says_idle());
+        return state_of("x") == "unknown";
+      },
+      10s))
+      << axes;
+  EXPECT_TRUE(control->anything_moves());
+  const auto is_replaced = [&] {
+    EXPECT_FALSE(page_says_idle());
+    const int now = std::atoi(test::read_file(bench_lock()).c_str());
+    return now > 0 && now != holder && bench_state == "on";
+  };
+  ASSERT_TRUE(test::wait_for(is_replaced, 20s)) << "another process holds the bench now";
+  const Json reply = page->ask({{"do", "stop"}});
+  EXPECT_FALSE(reply["ok"].get<bool>());
+  EXPECT_THAT(reply["why"].get<std::string>(), HasSubstr("no guard answers"));
+  EXPECT_FALSE(page_says_idle());
+  end_console();
 }
 
 }  // namespace

@@ -45,8 +45,11 @@ from ._abcal import (  # noqa: F401
     Stopped,
     Values,
     __version__,
+    _load_table,
+    _read_table,
     accelerometer_drivers,
     analyse,
+    analyse_measurement,
     certificate_xml,
     compare,
     demo_bench,
@@ -78,6 +81,30 @@ def demo(steps=30):
         bench = _pathlib.Path(folder) / "bench.toml"
         bench.write_text(demo_bench(steps), encoding="utf-8")
         return Bench(bench).run(bench.with_name("demo.run")).result
+
+
+def _cell(value):
+    """A number with all its digits, or the words of a date."""
+    try:
+        return repr(float(value))
+    except (TypeError, ValueError):
+        return str(value)
+
+
+def calibrate(data, unit="", columns="", time_unit="", estimator="", topic=""):
+    """The result of a table of readings: the path of a file, an array, or a DataFrame, whose columns have names.
+
+    Columns of an array: u, v, w (poses), or t, u, v, w (a time series), else as `columns` names them, such as
+    "t,x,y,z,-". `unit` is that of the readings; a `time_unit` that is not stated is found from the spacing.
+    Without angles the estimator is "norm", with them "joint". `topic` names the one to be read of a log with several.
+    """
+    if isinstance(data, (str, _os.PathLike)):
+        return analyse(_load_table(data, columns, unit, time_unit, topic), estimator)
+    rows = [[_cell(value) for value in row] for row in getattr(data, "values", data)]
+    if hasattr(data, "columns") and not columns:
+        rows.insert(0, [str(name).replace(",", " ") for name in data.columns])
+    text = "\n".join(",".join(row) for row in rows)
+    return analyse(_read_table(text, columns, unit, time_unit), estimator)
 
 
 def _uncertain(self):
