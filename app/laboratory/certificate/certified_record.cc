@@ -108,7 +108,7 @@ Message part_words(const EffectTest& test) {
                                               "fine map of Z"};
   const std::string name = test.name.english();
   return std::ranges::find(kParts, name, &Term::english) == kParts.end() ? effect_words(name)
-                                                                           : word_of(kParts, name);
+                                                                         : word_of(kParts, name);
 }
 
 Message test_words(const StageRecordUse& use) {
