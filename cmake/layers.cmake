@@ -6,7 +6,7 @@
 
 # --- drivers -------------------------------------------------------------------------------------------------------------
 layer(drivers/text FOREIGN fmt/)
-layer(drivers/instrument FOREIGN Eigen/)
+layer(drivers/instrument FOREIGN Eigen/ fmt/)
 layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h fmt/ Eigen/)
 # A folder with a driver.cc is a driver; all drivers have the same rule.
 file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")

@@ -115,6 +115,8 @@ struct ManualChamberDriver {
 /// The list that the drivers' own registrations fill.
 struct DriverList {
   std::vector<StageDriver> stages;
+  /// Stages whose settings must have a description; separate, because without one none can be made or asked.
+  std::vector<StageDriver> described_stages;
   std::vector<AccelerometerDriver> accelerometers;
   std::vector<ChamberDriver> chambers;
   std::vector<EnvironmentDriver> environments;
@@ -129,6 +131,7 @@ struct DriverList {
 /// Each of these folders registers itself with `void register_<folder>(DriverList&)`; its CMakeLists.txt
 /// calls abcal_add_driver().
 const std::vector<StageDriver>& stage_drivers();
+const std::vector<StageDriver>& described_stage_drivers();
 const std::vector<AccelerometerDriver>& accelerometer_drivers();
 const std::vector<ChamberDriver>& chamber_drivers();
 const std::vector<EnvironmentDriver>& environment_drivers();

@@ -2,6 +2,7 @@
 
 #include <map>
 
+#include "sim/firmware/described_firmware.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
@@ -23,6 +24,7 @@ std::vector<std::string> emulated_serial_numbers(const std::string& driver) {
     const PiGcsSettings pi;
     const ZaberAsciiSettings zaber;
     return std::map<std::string, std::vector<std::string>>{
+        {"described", {DescribedSettings{}.serial_number, zaber.serial_number, zaber.z_serial_number}},
         {"iio", {IioSettings{}.serial_number}},
         {"mavlink", {MavlinkSettings{}.serial_number}},
         {"microstrain_mip", {MipSettings{}.serial_number}},

@@ -36,6 +36,7 @@ struct StageAxisConfig {
   Angle zero;        ///< Controller angle at the default orientation.
   std::optional<double> travel_min_deg, travel_max_deg;  ///< Limits narrower than the controller's.
   std::optional<double> speed_deg_per_s;                 ///< Absent: as set in the controller.
+  std::optional<double> wraps_deg;  ///< 360: the controller counts modulo 360 and takes the shorter way.
   // Only if the axis has its own controller; else empty.
   std::string driver, port;
   std::optional<int> baud;
@@ -43,6 +44,9 @@ struct StageAxisConfig {
 
   bool operator==(const StageAxisConfig&) const = default;
 };
+
+/// The driver that is made from a description of the stage.
+inline constexpr const char* kDescribed = "described";
 
 /// One controller and its two axes, or one controller for each axis.
 struct StageConfig {
@@ -55,11 +59,18 @@ struct StageConfig {
       level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   std::string
       record;  ///< Made by `abcal stage learn`; empty: the stage is known from [stage_uncertainty] only.
+  /// Of the driver `described`: the name of a shipped description, or a file.
+  std::string description;
+  std::string description_text;  ///< The description itself, as a run keeps it.
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
   /// Whether an axis states the address of its controller.
   bool addressed() const { return !x.address.empty() || !z.address.empty(); }
+  /// Whether an axis is turned by the driver `described`.
+  bool is_described() const {
+    return driver == kDescribed || x.driver == kDescribed || z.driver == kDescribed;
+  }
   /// Whether two controllers are in a daisy chain on one port. TCP port 0 stands for any free port, a
   /// different one each time.
   bool chained() const {

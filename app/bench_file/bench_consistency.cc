@@ -15,6 +15,7 @@
 #include "app/bench_file/chamber_consistency.h"
 #include "app/bench_file/instrument_ports.h"
 #include "app/bench_file/key_ranges.h"
+#include "app/bench_file/stage_description_file.h"
 #include "drivers/instrument/driver_catalogue.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
@@ -224,12 +225,60 @@ void check_travel(TomlReader& reader, const toml::table& root, const BenchConfig
   check_stated_travel(reader, "stage." + name, axis, is_good && simulated ? simulation : "", truth);
 }
 
-void check_stage_axes(TomlReader& reader, const toml::table& root, const BenchConfig& c) {
-  const StageConfig& stage = c.stage;
+/// Reads the description of a described stage; its text is kept.
+void check_description(TomlReader& reader, StageConfig& stage) {
+  if (!stage.is_described()) {
+    for (const auto& [key, value] : {std::pair{"stage.description", &stage.description},
+                                     std::pair{"stage.description_text", &stage.description_text}})
+      if (!value->empty())
+        reader.add_problem(key, "a description with another driver",
+                           "driver = \"described\", or no description");
+    return;
+  }
+  if (stage.description.empty() && stage.description_text.empty()) {
+    reader.add_problem("stage.description", "nothing",
+                       "the name of a description that is shipped, or the path of a file");
+    return;
+  }
+  std::vector<Problem> problems;
+  if (stage.description_text.empty())
+    stage.description_text = stage_description_text(stage.description, problems);
+  StageDescription description;
+  if (problems.empty())
+    description = parse_stage_description(stage.description_text, stage.description, problems);
+  if (!problems.empty()) {
+    reader.add_problem("stage.description",
+                       "\"" + stage.description + "\", with problems:" + list_of(problems),
+                       "a description without problems: `abcal stage try FILE` shows them");
+    return;
+  }
+  for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+    const auto& names = description.axis_names;
+    if (!names.empty() && std::ranges::find(names, axis->axis) == names.end())
+      reader.add_problem(std::string(section) + ".axis", "\"" + axis->axis + "\"",
+                         "one of " + joined(names) + ", as the description names them");
+    if (axis->speed_deg_per_s && description.set_speed.empty())
+      reader.add_problem(std::string(section) + ".speed_deg_per_s",
+                         fmt::format("{:g}", *axis->speed_deg_per_s),
+                         "none: the description has no [[set_speed]]");
+    if (description.wraps && !axis->wraps_deg) axis->wraps_deg = 360.0;
+  }
+}
+
+void check_stage_axes(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  StageConfig& stage = c.stage;
+  check_description(reader, stage);
   for (const char* name : {"x", "z"}) check_travel(reader, root, c, name);
   for (const auto& [section, axis] :
        {std::pair{"stage.x.sign", &stage.x}, std::pair{"stage.z.sign", &stage.z}}) {
     if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
+  }
+  for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+    if (axis->wraps_deg && !(axis->travel_min_deg && axis->travel_max_deg))
+      reader.add_problem(
+          std::string(section) + ".wraps_deg", fmt::format("{:g}", *axis->wraps_deg),
+          "travel_min_deg and travel_max_deg of this axis too: the controller's own count does "
+          "not limit how far the cable is wound");
   }
   if (!stage.split() && !stage.addressed() && stage.x.axis == stage.z.axis) {
     reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",

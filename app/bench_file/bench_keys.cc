@@ -32,6 +32,7 @@ void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisCon
   keys.number("travel_min_deg", axis.travel_min_deg, kTurns);
   keys.number("travel_max_deg", axis.travel_max_deg, kTurns);
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kSpeed);
+  keys.number("wraps_deg", axis.wraps_deg, {360.0, 360.0});
   std::vector<std::string> drivers{""};
   append_names(drivers, driver_catalogue().stages);
   keys.text("driver", axis.driver, drivers);
@@ -143,6 +144,8 @@ void visit_stage(KeyVisitor& keys, StageConfig& stage) {
   keys.text("unit", stage.unit, {"", "deg"});
   keys.text("level_file", stage.level_file);
   keys.text("record", stage.record);
+  keys.text("description", stage.description);
+  keys.text("description_text", stage.description_text);
   visit_stage_axis(keys, "stage.x", stage.x);
   visit_stage_axis(keys, "stage.z", stage.z);
 }

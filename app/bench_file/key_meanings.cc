@@ -82,6 +82,12 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Stage record written by `abcal stage learn`: the joint estimator takes the stage from it, in place "
         "of the sizes in `[stage_uncertainty]`. The run keeps it. A record of another stage is refused.",
         ""}},
+      {"stage.description",
+       {"Driver `described`: the name of a description that is shipped, or the path of a file "
+        "([described stages](drivers/described.md)).",
+        ""}},
+      {"stage.description_text",
+       {"The text of the description, as a run keeps it. Empty: it is read from `description`.", ""}},
       {"stage.AXIS.axis", {"The controller's name for the axis.", ""}},
       {"stage.AXIS.sign",
        {"`1`, or `-1` if the controller counts against the right-hand rule. 0 is refused.", ""}},
@@ -90,6 +96,15 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Lower end of the travel, if narrower than the controller's, for example because of the cable.", ""}},
       {"stage.AXIS.travel_max_deg", {"Upper end of the travel.", ""}},
       {"stage.AXIS.speed_deg_per_s", {"Speed of the moves. Absent: as set in the controller.", ""}},
+      {"stage.AXIS.wraps_deg",
+       {"360 for a controller that counts modulo 360 and takes the shorter way: angles beyond one turn are "
+        "sent "
+        "modulo 360, the reported ones are taken as the nearest to the last target, and a longer move is "
+        "made in "
+        "parts below 180 degrees. `travel_min_deg` and `travel_max_deg` must be stated, because the "
+        "controller "
+        "does not protect the cable; at the start the axis must be within half a turn of its zero.",
+        "degree"}},
       {"stage.AXIS.driver",
        {"Driver of this axis if each axis has its own controller. Give it for both axes or for neither.",
         ""}},

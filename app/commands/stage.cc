@@ -15,6 +15,7 @@
 
 #include "app/bench_file/stage_record_file.h"
 #include "app/commands/commands.h"
+#include "app/commands/stage_try.h"
 #include "app/document/band_figure.h"
 #include "app/document/drawing_svg.h"
 #include "app/results/analysis/series_of_runs.h"
@@ -352,8 +353,8 @@ void add_pair(CLI::App& parent, int& exit_code, const PairCommand& pair) {
 }  // namespace
 
 CLI::App* add_stage(CLI::App& parent, int& exit_code) {
-  CLI::App* command =
-      parent.add_subcommand("stage", "The stage as a measured standard: learn, show, check, compare");
+  CLI::App* command = parent.add_subcommand(
+      "stage", "The stage as a measured standard: learn, show, check, compare; try: a description of one");
   command->require_subcommand(1);
   add_learn(*command, exit_code);
   add_show(*command, exit_code);
@@ -363,6 +364,7 @@ CLI::App* add_stage(CLI::App& parent, int& exit_code) {
   add_pair(*command, exit_code,
            {"compare", "Whether two records of one stage agree; exit 1 if not", "FIRST", "record of a stage",
             "SECOND", "another record of that stage", compare_records});
+  add_stage_try(*command, exit_code);
   return command;
 }
 

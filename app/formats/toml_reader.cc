@@ -610,6 +610,14 @@ void TomlReader::texts(const std::string& key, std::vector<std::string>& value,
   }
 }
 
+void TomlReader::refuse(const std::string& key, const std::string& found, const std::string& required) {
+  if (const toml::node* node = find(key)) {
+    problem_with_guess(node->source(), name(key), {{}, found, required}, {}, {});
+  } else {
+    add_problem_at(line(), name(key), found, required);
+  }
+}
+
 void TomlReader::add_missing(const std::string& key, const std::string& required) {
   const std::uint32_t where = line();
   add_problem_at(where, name(key), "nothing", required);

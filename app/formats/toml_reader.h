@@ -61,6 +61,8 @@ class TomlReader final : public KeyVisitor {
              const std::vector<std::string>& choices = {});
   /// Whether a key is in the section being visited.
   bool has(const std::string& key) const { return table_ != nullptr && table_->contains(key); }
+  /// Reports a key of the section being visited, at its own line; nothing if it is wrong by itself.
+  void refuse(const std::string& key, const std::string& found, const std::string& required);
   /// Reports a required key that is missing from the section being visited.
   void add_missing(const std::string& key, const std::string& required);
   /// The line of the section being visited; if it is absent that of the entry it should be in, or 0.

@@ -55,7 +55,9 @@ struct HaltRecipe {
   std::string stop;                            ///< Stops all axes; its reply is not awaited.
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
-  std::string reply_end{};                     ///< Terminator of a reply; empty: CR, LF or both.
+  /// Least time between two commands, also after `end_partial`: an earlier one would be lost.
+  std::chrono::milliseconds gap{0};
+  std::string reply_end{};  ///< Terminator of a reply; empty: CR, LF or both.
   /// Replies have no visible end: patterns are searched for in the newest kLongestHaltReply bytes since the
   /// question. Otherwise a pattern is for one whole reply without its terminator, and a longer reply is
   /// skipped up to its terminator.

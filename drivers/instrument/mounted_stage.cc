@@ -8,15 +8,47 @@
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
+namespace {
 
-MountedStage::MountedStage(std::unique_ptr<RotationStage> stage, std::array<AxisMounting, 2> mounting)
-    : stage_(std::move(stage)), mounting_(mounting) {}
+constexpr double kTurn = 360.0;
+
+}  // namespace
+
+MountedStage::MountedStage(std::unique_ptr<RotationStage> stage, std::array<AxisMounting, 2> mounting,
+                           std::shared_ptr<CountedTurns> turns)
+    : stage_(std::move(stage)),
+      mounting_(mounting),
+      turns_(turns ? std::move(turns) : std::make_shared<CountedTurns>()) {}
+
+/// The angle of all turns that is nearest to the last target.
+Angle MountedStage::unwound(StageAxis axis, Angle reported) const {
+  const Angle about = (*turns_)[index(axis)].value_or(mounting_[index(axis)].zero);
+  return about + Angle::degrees(std::remainder((reported - about).deg(), kTurn));
+}
+
+/// The angle that the controller is sent: from 0 to 360 degrees, or one turn away if only that is within its
+/// travel.
+Angle MountedStage::of_one_turn(StageAxis axis, Angle target) const {
+  const double least = target.deg() - kTurn * std::floor(target.deg() / kTurn);
+  for (const double angle : {least, least - kTurn})
+    if (angle >= own_min_[index(axis)].deg() && angle <= own_max_[index(axis)].deg())
+      return Angle::degrees(angle);
+  return Angle::degrees(least);  // The controller refuses it.
+}
 
 StageInfo MountedStage::identify() {
   StageInfo info = stage_->identify();
   for (const StageAxis axis : kStageAxes) {
     const AxisMounting& mounting = mounting_[index(axis)];
     StageAxisInfo& travel = info.axes[index(axis)];
+    own_min_[index(axis)] = travel.travel_min;
+    own_max_[index(axis)] = travel.travel_max;
+    if (mounting.wraps) {
+      travel.travel_min = mounting.travel_min.value_or(Angle{});
+      travel.travel_max = mounting.travel_max.value_or(Angle{});
+      travel.longest_move = kLongestWrappedMove;
+      continue;
+    }
     const Angle one = (travel.travel_min - mounting.zero) * mounting.sign;
     const Angle other = (travel.travel_max - mounting.zero) * mounting.sign;
     travel.travel_min = std::min(one, other);
@@ -29,6 +61,7 @@ StageInfo MountedStage::identify() {
 }
 
 void MountedStage::home(StageAxis axis) {
+  (*turns_)[index(axis)].reset();  // The reference is near the zero.
   stage_->home(axis);
 }
 
@@ -43,7 +76,19 @@ void MountedStage::move_to(StageAxis axis, Angle target) {
                               std::to_string(travel.travel_max.deg()) + " deg");
   }
   const AxisMounting& mounting = mounting_[index(axis)];
-  stage_->move_to(axis, mounting.zero + target * mounting.sign);
+  const Angle own = mounting.zero + target * mounting.sign;
+  if (!mounting.wraps) return stage_->move_to(axis, own);
+  const Angle from = unwound(axis, stage_->encoder_angle(axis));
+  if (std::abs((own - from).deg()) >= kTurn / 2.0) {
+    throw InstrumentError("stage " + info_->model, Fault::kRefused,
+                          "axis " + std::string(to_string(axis)) + " from " + std::to_string(from.deg()) +
+                              " to " + std::to_string(own.deg()) +
+                              " deg: the controller counts modulo 360 and takes the shorter way; required: "
+                              "moves of less than 180 deg");
+  }
+  // Before the command: a move that has begun although its reply was lost is counted, too.
+  (*turns_)[index(axis)] = own;
+  stage_->move_to(axis, of_one_turn(axis, own));
 }
 
 MotionState MountedStage::motion_state(StageAxis axis) {
@@ -52,7 +97,8 @@ MotionState MountedStage::motion_state(StageAxis axis) {
 
 Angle MountedStage::encoder_angle(StageAxis axis) {
   const AxisMounting& mounting = mounting_[index(axis)];
-  return (stage_->encoder_angle(axis) - mounting.zero) * mounting.sign;
+  const Angle reported = stage_->encoder_angle(axis);
+  return ((mounting.wraps ? unwound(axis, reported) : reported) - mounting.zero) * mounting.sign;
 }
 
 bool MountedStage::halt() noexcept {

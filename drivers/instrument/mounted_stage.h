@@ -15,13 +15,26 @@ struct AxisMounting {
   int sign = +1;                    ///< -1: the controller counts against the right-hand rule.
   std::optional<Angle> travel_min;  ///< Narrower limits than the controller's own, in protocol angles.
   std::optional<Angle> travel_max;
+  /// The controller counts modulo 360 and takes the shorter way: it is sent an angle of one turn, and what it
+  /// reports is taken as the nearest to the last target. Both ends of the travel must be stated.
+  bool wraps = false;
 };
+
+/// The last targets of axes that count modulo 360, in controller angles of all turns: kept by the owner, they
+/// outlive a stage that is made again after its port was lost. Absent: unknown; the axis is then taken to be
+/// within half a turn of its zero.
+using CountedTurns = std::array<std::optional<Angle>, 2>;
+
+/// The longest move of an axis that takes the shorter way.
+inline constexpr Angle kLongestWrappedMove = Angle::degrees(170.0);
 
 /// A stage seen in protocol angles (right-handed about X and Z, zero at the default orientation). Refuses any
 /// target outside the travel of controller and bench before a byte is sent.
 class MountedStage final : public RotationStage {
  public:
-  MountedStage(std::unique_ptr<RotationStage> stage, std::array<AxisMounting, 2> mounting);
+  /// @param turns  null: kept here
+  MountedStage(std::unique_ptr<RotationStage> stage, std::array<AxisMounting, 2> mounting,
+               std::shared_ptr<CountedTurns> turns = nullptr);
 
   StageInfo identify() override;  ///< Travels are in protocol angles, narrowed to the bench's limits.
   void home(StageAxis axis) override;
@@ -38,9 +51,14 @@ class MountedStage final : public RotationStage {
   std::vector<StageEvent> take_events() override { return stage_->take_events(); }
 
  private:
+  Angle unwound(StageAxis axis, Angle reported) const;
+  Angle of_one_turn(StageAxis axis, Angle target) const;
+
   std::unique_ptr<RotationStage> stage_;
   std::array<AxisMounting, 2> mounting_;
-  std::optional<StageInfo> info_;  ///< Result of the last identify(), in protocol angles.
+  std::shared_ptr<CountedTurns> turns_;
+  std::array<Angle, 2> own_min_{}, own_max_{};  ///< Travel of the controller, in its own angles.
+  std::optional<StageInfo> info_;               ///< Result of the last identify(), in protocol angles.
 };
 
 }  // namespace abcal

@@ -38,6 +38,8 @@ struct StageAxisInfo {
   Angle resolution;              ///< Smallest step of the encoder; zero if not reported.
   double speed_deg_per_s = 0.0;  ///< Speed of moves; 0 if not reported.
   bool referenced = false;       ///< False: home() must be called before move_to().
+  /// A longer move is refused, because its sense would not be certain; zero: any move within the travel.
+  Angle longest_move{};
 };
 
 struct StageInfo {

@@ -83,10 +83,16 @@ bool fits(const HaltRecipe& recipe, const std::string& reply, const ReplyPattern
   return recipe.binary ? occurs_in(pattern, reply) : matches(pattern, reply);
 }
 
+/// Waits until the next command is not lost.
+void keep_gap(const HaltRecipe& recipe, Clock& clock) {
+  if (recipe.gap.count() > 0) clock.sleep_until(clock.now() + recipe.gap);
+}
+
 /// Whether all answers to the question report standstill of the axes.
 bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, ByteStream& port, Clock& clock,
                Clock::Instant deadline) {
   ReplyInput replies(recipe, port, clock);
+  keep_gap(recipe, clock);
   port.write(question.bytes);
   Clock::Instant until = std::min(deadline, clock.now() + recipe.reply_time);
   bool answered = false;
@@ -102,13 +108,25 @@ bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, B
 
 }  // namespace
 
+void stop_at_once(const HaltRecipe& recipe, ByteStream& port, Clock& clock) {
+  if (recipe.gap.count() == 0) return port.write(recipe.end_partial + recipe.stop);
+  if (!recipe.end_partial.empty()) {
+    // The owner may have sent a command, or received a reply, just before.
+    keep_gap(recipe, clock);
+    port.write(recipe.end_partial);
+  }
+  keep_gap(recipe, clock);
+  port.write(recipe.stop);
+}
+
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept {
   try {
-    port.write(recipe.end_partial + recipe.stop);
+    stop_at_once(recipe, port, clock);
   } catch (...) {  // Tried again below if there is time.
   }
   while (clock.now() < deadline) {
     try {
+      keep_gap(recipe, clock);
       port.write(recipe.stop);
       port.discard_input();
       const bool standing = std::all_of(recipe.questions.begin(), recipe.questions.end(),

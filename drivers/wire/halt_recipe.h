@@ -15,9 +15,14 @@ namespace abcal::wire {
 /// @return false: not acknowledged by `deadline`; the axes may be moving, the chamber may be heating.
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
 
-/// The longest that one attempt to carry out a recipe takes: two replies, and a second more.
+/// Ends a half-written command and sends the stop, once.
+void stop_at_once(const HaltRecipe& recipe, ByteStream& port, Clock& clock);
+
+/// The longest that one attempt to carry out a recipe takes: two replies, the gaps between the commands, and
+/// a second more.
 inline Clock::Duration longest_halt(const HaltRecipe& recipe) {
-  return 2 * recipe.reply_time + std::chrono::seconds(1);
+  return 2 * recipe.reply_time + (static_cast<int>(recipe.questions.size()) + 3) * recipe.gap +
+         std::chrono::seconds(1);
 }
 
 /// An open descriptor (a serial port or a socket) as a stream, e.g. one that was inherited from a process

@@ -58,8 +58,16 @@ std::vector<AngleSample> Motion::sweep(StageAxis axis, Angle target, double rate
                                        const std::function<void()>& look) {
   const ProtocolConfig& protocol = context_.settings.protocol;
   known_[index(axis)].reset();
-  const double expected_s = std::abs((target - stage_.encoder_angle(axis)).deg()) / rate_deg_per_s +
-                            rate_deg_per_s / protocol.acceleration_deg_per_s2;
+  const double way = std::abs((target - stage_.encoder_angle(axis)).deg());
+  if (const Angle longest = context_.stage_info.axes[index(axis)].longest_move;
+      longest > Angle{} && way > longest.deg()) {
+    throw InstrumentError(
+        context_.stage_name(), Fault::kRefused,
+        Message("axis {axis} counts modulo 360 (wraps_deg): it can be moved by {longest} deg at most, and "
+                "not by a whole turn at a constant rate; required: motion = \"steps\"",
+                to_string(axis), longest.deg()));
+  }
+  const double expected_s = way / rate_deg_per_s + rate_deg_per_s / protocol.acceleration_deg_per_s2;
   stage_.set_speed(axis, rate_deg_per_s);
   stage_.move_to(axis, target);
   const Clock::Instant begin = context_.clock.now();
@@ -88,7 +96,14 @@ std::vector<AngleSample> Motion::sweep(StageAxis axis, Angle target, double rate
 
 /// @return when the axis was first found stopped inside the window.
 Clock::Instant Motion::carry_out(const Move& move) {
-  const Angle from = stage_.encoder_angle(move.axis);
+  Angle from = stage_.encoder_angle(move.axis);
+  const Angle longest = context_.stage_info.axes[index(move.axis)].longest_move;
+  if (const double way = (move.target - from).deg(); longest > Angle{} && std::abs(way) > longest.deg()) {
+    const double pieces = std::ceil(std::abs(way) / longest.deg());
+    for (double done = 1.0; done < pieces; ++done)
+      carry_out({move.axis, from + Angle::degrees(way * done / pieces), move.window, 1});
+    from = stage_.encoder_angle(move.axis);
+  }
   const double speed = context_.stage_info.axes[index(move.axis)].speed_deg_per_s;
   const double expected_s = speed > 0.0 ? std::abs((move.target - from).deg()) / speed : 0.0;
   stage_.move_to(move.axis, move.target);
@@ -131,6 +146,16 @@ Clock::Instant Motion::wait_for_arrival(const Move& move, double expected_s) {
 }
 
 void Motion::fail_outside_window(const Move& move, Angle encoder) const {
+  const double turns = std::round((encoder - move.target).deg() / 360.0);
+  if (turns != 0.0 && std::abs((encoder - move.target).deg() - 360.0 * turns) <= move.window.deg()) {
+    throw InstrumentError(
+        context_.stage_name(), Fault::kStalled,
+        Message("axis {axis} reports {found:.5f} deg, commanded {commanded:.5f} deg: the difference is a "
+                "number of whole turns. If the controller counts modulo 360, state wraps_deg = 360 under "
+                "[stage.{name}] of the bench file; otherwise home the axis",
+                to_string(move.axis), encoder.deg(), move.target.deg(),
+                move.axis == StageAxis::kX ? "x" : "z"));
+  }
   throw InstrumentError(
       context_.stage_name(), Fault::kStalled,
       Message(

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "app/bench_file/bench_config.h"
+#include "app/bench_file/stage_description_file.h"
 #include "drivers/registry.h"
 
 namespace abcal {
@@ -17,10 +18,13 @@ struct StageVariant {
   std::string name;  ///< "pi_gcs", "pi_gcs_chain"
   const StageDriver* driver;
   std::array<std::string, 2> axis_names = StageSettings{}.axis_names;
+  std::string description{};  ///< Of a described stage: the name of a shipped one.
 
   StageSettings settings() const {
     StageSettings settings;
     settings.axis_names = axis_names;
+    if (!description.empty())
+      settings.description = std::make_shared<const StageDescription>(stage_description_of(config().stage));
     return settings;
   }
   BenchConfig config() const {
@@ -28,6 +32,7 @@ struct StageVariant {
     config.stage.driver = driver->name;
     config.stage.x.axis = axis_names[0];
     config.stage.z.axis = axis_names[1];
+    config.stage.description = description;
     return config;
   }
   std::unique_ptr<RotationStage> make(std::vector<std::unique_ptr<wire::ByteStream>> streams,
@@ -36,13 +41,22 @@ struct StageVariant {
   }
 };
 
-/// Every stage driver of the registry; those that make daisy chains also with a chain.
+/// Every stage driver of the registry, those that make daisy chains also with a chain, and every shipped
+/// description, with the first two names of its axes.
 inline const std::vector<StageVariant>& stage_variants() {
   static const std::vector<StageVariant> all = [] {
     std::vector<StageVariant> variants;
     for (const StageDriver& driver : stage_drivers()) variants.push_back({driver.name, &driver});
     for (const StageDriver& driver : stage_drivers())
       if (driver.axes_on_line) variants.push_back({driver.name + "_chain", &driver, {"1 1", "2 1"}});
+    for (const ShippedDescription& shipped : shipped_descriptions()) {
+      StageVariant variant{"described_" + std::string(shipped.name), &described_stage_drivers().front()};
+      variant.description = shipped.name;
+      const StageDescription description = stage_description_of(variant.config().stage);
+      if (description.axis_names.size() >= 2)
+        variant.axis_names = {description.axis_names[0], description.axis_names[1]};
+      variants.push_back(std::move(variant));
+    }
     return variants;
   }();
   return all;

@@ -13,9 +13,11 @@
 #include <utility>
 
 #include "app/bench_file/not_real.h"
+#include "app/bench_file/stage_description_file.h"
 #include "app/measure/bench/fault_schedule.h"
 #include "app/measure/bench/instrument_leases.h"
 #include "app/measure/bench/make_firmware.h"
+#include "app/measure/bench/stage_trial.h"
 #include "app/measure/bench/stage_watchdog.h"
 #include "app/measure/guard/beating.h"
 #include "app/measure/guard/guarded_chamber.h"
@@ -69,7 +71,8 @@ AxisMounting mounting(const StageAxisConfig& axis) {
   const auto angle = [](const std::optional<double>& degrees) {
     return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
   };
-  return {axis.zero, axis.sign, angle(axis.travel_min_deg), angle(axis.travel_max_deg)};
+  return {axis.zero, axis.sign, angle(axis.travel_min_deg), angle(axis.travel_max_deg),
+          axis.wraps_deg.has_value()};
 }
 
 /// @return null: no driver of the list has this name
@@ -87,8 +90,16 @@ const Driver& find_driver(const std::vector<Driver>& drivers, const std::string&
   return *found;
 }
 
+/// A driver of stages that has a port.
+const StageDriver& find_stage_driver(const std::string& name) {
+  const StageDriver* described = driver_called(described_stage_drivers(), name);
+  return described != nullptr ? *described : find_driver(stage_drivers(), name);
+}
+
 StageSettings stage_settings(const BenchConfig& config, const InstrumentPort& port) {
   StageSettings settings;
+  if (port.driver == kDescribed)
+    settings.description = std::make_shared<const StageDescription>(stage_description_of(config.stage));
   settings.axis_names = port.axis_names(config.stage);
   settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
   settings.address = port.address;
@@ -168,15 +179,19 @@ class Opener {
     }
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
-      const StageDriver& driver = find_driver(stage_drivers(), port.driver);
+      const StageDriver& driver = find_stage_driver(port.driver);
+      StageSettings settings = stage_settings(config_, port);
+      SerialDefaults serial = driver.serial;
+      if (settings.description) serial = {settings.description->baud, settings.description->rts_cts};
       // Before the stage can move: signals then end the program only after the halt of a real stage.
       if (driver.connections == 0 || port.port != kSimulated) end_orderly_at_signals();
+      if (settings.description && port.port != kSimulated) require_trial(settings);
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
       if (driver.connections > 0) {
         for (const InstrumentPort& connection : connections_of(port, driver.connections))
-          streams.push_back(open(connection, driver.serial, Opens::kGuard));
+          streams.push_back(open(connection, serial, Opens::kGuard));
       }
-      parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
+      parts.push_back(driver.make(std::move(streams), clock_, settings));
       if (driver.connections == 0) continue;  // abcal has no stream to halt it by.
       const std::lock_guard lock(halt_mutex_);
       if (opened_.at(port.name).port != nullptr) {
@@ -190,7 +205,7 @@ class Opener {
     std::unique_ptr<RotationStage> stage =
         parts.size() == 1 ? std::move(parts[0])
                           : std::make_unique<SplitStage>(std::move(parts[0]), std::move(parts[1]));
-    return std::make_unique<MountedStage>(std::move(stage), mountings);
+    return std::make_unique<MountedStage>(std::move(stage), mountings, turns_);
   }
 
   /// Halts all axes on the ports of the stage without a driver. May be called from any thread.
@@ -206,7 +221,7 @@ class Opener {
     for (const auto& [name, port] : ports) {
       for (const HaltRecipe& recipe : port.recipes) {
         try {
-          port.stream->write(recipe.end_partial + recipe.stop);
+          wire::stop_at_once(recipe, *port.stream, clock_);
         } catch (const InstrumentError&) {  // A lost port: carry_out() reports it.
         }
       }
@@ -269,6 +284,21 @@ class Opener {
   }
 
  private:
+  /// A described stage on a real port: its text has passed a trial, with this stage.
+  void require_trial(StageSettings& settings) const {
+    if (streams_.is_trial || streams_.replay) return;
+    const StageDescription& description = *settings.description;
+    const auto trial = find_stage_trial(description.sha256);
+    if (!trial)
+      throw std::invalid_argument(
+          "the description " + description.source +
+          " has not been tried on a stage in its present form; required: abcal stage try " +
+          description.source + " --port PORT, with a person at the stage");
+    auto tried = std::make_shared<StageDescription>(description);
+    tried->tried_with = trial->maker + " " + trial->model + " " + trial->serial_number;
+    settings.description = std::move(tried);
+  }
+
   struct Opened {
     std::shared_ptr<wire::ByteStream> stream;
     wire::ReopenableStream* port = nullptr;  ///< Innermost part of `stream`; null: no real port.
@@ -339,6 +369,7 @@ class Opener {
   /// Declared before the ports: it releases them after they are closed here.
   std::shared_ptr<HaltGuard> guard_;
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
+  const std::shared_ptr<CountedTurns> turns_ = std::make_shared<CountedTurns>();
 
   struct HaltPort {
     std::shared_ptr<wire::ByteStream> stream;

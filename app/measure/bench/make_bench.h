@@ -60,6 +60,7 @@ struct BenchStreams {
   /// Who moves the bench, for the log of its guard and for programs that find it in use: "a jog by A. B.".
   /// Empty: "abcal".
   std::string owner{};
+  bool is_trial = false;  ///< The first motions of a described stage, which no trial has passed yet.
 };
 
 /// Opens the instruments of a bench file. Only here do real, simulated and replayed instruments differ.

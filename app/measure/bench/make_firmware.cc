@@ -8,8 +8,10 @@
 #include <string_view>
 #include <utility>
 
+#include "app/bench_file/stage_description_file.h"
 #include "app/measure/bench/fault_schedule.h"
 #include "drivers/registry.h"
+#include "sim/firmware/described_firmware.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
@@ -38,6 +40,7 @@ std::optional<unsigned> line_baud(const InstrumentPort& port) {
     return std::nullopt;
   };
   auto found = of(stage_drivers());
+  if (!found) found = of(described_stage_drivers());
   if (!found) found = of(accelerometer_drivers());
   return found ? found : of(chamber_drivers());
 }
@@ -354,12 +357,16 @@ std::shared_ptr<sim::Firmware> weiss_firmware(const BenchConfig& config, const I
   return std::make_shared<sim::WeissFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> described_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                  std::shared_ptr<sim::SimBench> world);
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& firmwares() {
-  static const std::map<std::string, MakeFirmware> all{{"iio", iio_firmware},
+  static const std::map<std::string, MakeFirmware> all{{"described", described_firmware},
+                                                       {"iio", iio_firmware},
                                                        {"mavlink", mavlink_firmware},
                                                        {"microstrain_mip", mip_firmware},
                                                        {"newport_esp", newport_esp_firmware},
@@ -376,6 +383,20 @@ const std::map<std::string, MakeFirmware>& firmwares() {
                                                        {"xsens_mti", xsens_mti_firmware},
                                                        {"zaber_ascii", zaber_ascii_firmware}};
   return all;
+}
+
+/// The simulated instrument that the description names, or else one that is made of the description.
+std::shared_ptr<sim::Firmware> described_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  auto description = std::make_shared<const StageDescription>(stage_description_of(config.stage));
+  if (const auto own = firmwares().find(description->emulator_firmware); own != firmwares().end()) {
+    InstrumentPort same = port;
+    same.driver = description->emulator_firmware;
+    return own->second(config, same, std::move(world));
+  }
+  auto settings = stage_firmware_settings<sim::DescribedSettings>(config.stage, port);
+  settings.address = port.address;
+  return std::make_shared<sim::DescribedFirmware>(std::move(world), std::move(description), settings);
 }
 
 }  // namespace

@@ -60,6 +60,36 @@ TEST_F(MotionTest, AnAxisOutsideTheWindowEndsItWithFoundAndRequired) {
                            HasSubstr("required: within 0.01 deg")));
 }
 
+TEST_F(MotionTest, WholeTurnsBetweenCommandAndEncoderAreCalledSo) {
+  settings.protocol.approach = Angle{};
+  for (const double turns : {360.0, -720.0}) {
+    x().error = Angle::degrees(turns + 0.005);
+    const auto [fault, words] = failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); });
+    EXPECT_EQ(fault, Fault::kStalled);
+    EXPECT_THAT(words, AllOf(HasSubstr("commanded 20.0"), HasSubstr("whole turns"),
+                             HasSubstr("wraps_deg = 360 under [stage.x]")));
+    EXPECT_THAT(words, testing::Not(HasSubstr("missed step")));
+  }
+  x().error = Angle::degrees(360.05);
+  EXPECT_THAT(failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); }).second,
+              HasSubstr("missed step"));
+}
+
+TEST_F(MotionTest, ALongMoveIsMadeInPartsIfTheStageAsksForIt) {
+  settings.protocol.approach = Angle{};
+  context().stage_info.axes[0].longest_move = Angle::degrees(170);
+  motion().move_to(StageAxis::kX, Angle::degrees(340));
+  motion().move_to(StageAxis::kX, Angle::degrees(-5));
+  EXPECT_THAT(stage.moves,
+              ElementsAre(Pair(StageAxis::kX, Angle::degrees(170)), Pair(StageAxis::kX, Angle::degrees(340)),
+                          Pair(StageAxis::kX, Angle::degrees(225)), Pair(StageAxis::kX, Angle::degrees(110)),
+                          Pair(StageAxis::kX, Angle::degrees(-5))));
+  const auto [fault, words] =
+      failure_of([&] { motion().sweep(StageAxis::kX, Angle::degrees(300), 10.0, [] {}); });
+  EXPECT_EQ(fault, Fault::kRefused);
+  EXPECT_THAT(words, HasSubstr("modulo 360"));
+}
+
 TEST_F(MotionTest, AnEncoderThatIsNoNumberIsOutside) {
   x().error = Angle::degrees(std::numeric_limits<double>::quiet_NaN());
   EXPECT_EQ(failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); }).first, Fault::kStalled);

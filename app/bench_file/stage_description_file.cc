@@ -1,0 +1,460 @@
+#include "app/bench_file/stage_description_file.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <toml++/toml.h>
+#include <algorithm>
+#include <filesystem>
+#include <optional>
+#include <stdexcept>
+#include <utility>
+
+#include "app/bench_file/bench_config.h"
+#include "app/formats/toml_reader.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+constexpr const char* kKind = "a description of a stage; docs/drivers/described.md shows one";
+constexpr const char* kSchema = "abcal.stage/1";
+
+/// A form and its place in the file, for checks between sections.
+struct PlacedForm {
+  ReplyForm form;
+  std::uint32_t line = 0;
+  std::string where;
+};
+
+/// Reads one description. All that is wrong is reported to the reader.
+class DescriptionReader {
+ public:
+  DescriptionReader(TomlReader& reader, StageDescription& out) : reader_(reader), out_(out) {}
+
+  void read() {
+    read_top();
+    read_transport();
+    read_axes();
+    read_identity();
+    read_motion();
+    read_state();
+    read_halt();
+    read_errors();
+    read_emulator();
+    check_scale();
+    check_wrap();
+    check_axes();
+    check_replies();
+  }
+
+ private:
+  // ---- Keys
+
+  /// "found; required: what" of an exception, in its two halves.
+  void refuse_by(const std::string& key, const std::invalid_argument& error) {
+    const std::string words = error.what();
+    const std::size_t at = words.find("; required: ");
+    const bool has_both = at != std::string::npos;
+    reader_.refuse(key, words.substr(0, at), has_both ? words.substr(at + 12) : "another form");
+  }
+
+  ReplyForm reply_form(const std::string& key, bool required) {
+    std::string text;
+    required ? reader_.required_text(key, text) : reader_.text(key, text);
+    try {
+      return ReplyForm(text);
+    } catch (const std::invalid_argument& error) {
+      refuse_by(key, error);
+      return {};
+    }
+  }
+
+  CommandForm command_form(const std::string& key, bool required) {
+    std::string text;
+    required ? reader_.required_text(key, text) : reader_.text(key, text);
+    try {
+      return CommandForm(text);
+    } catch (const std::invalid_argument& error) {
+      refuse_by(key, error);
+      return {};
+    }
+  }
+
+  std::vector<ReplyForm> reply_forms(const std::string& key) {
+    std::vector<std::string> texts;
+    reader_.texts(key, texts);
+    std::vector<ReplyForm> forms;
+    for (const std::string& text : texts) {
+      try {
+        forms.emplace_back(text);
+      } catch (const std::invalid_argument& error) {
+        refuse_by(key, error);
+      }
+    }
+    return forms;
+  }
+
+  /// A question and its reply, of which a field is needed.
+  DescribedExchange question(const std::string& field) {
+    DescribedExchange out{command_form("send", true), reply_form("expect", true), {}};
+    if (!field.empty() && !out.expect.empty() && !out.expect.has(field))
+      reader_.refuse("expect", "\"" + out.expect.text() + "\"", "a reply with the field {" + field + "}");
+    note(out.expect, "expect");
+    return out;
+  }
+
+  /// Commands that change something: each is acknowledged, by its reply or by a question that reads it back.
+  std::vector<DescribedExchange> commands(const std::string& section) {
+    std::vector<DescribedExchange> all;
+    reader_.section("");
+    reader_.tables(section, 0, [&](std::size_t) {
+      DescribedExchange one{command_form("send", true), reply_form("expect", false),
+                            command_form("read_back", false)};
+      if (one.expect.empty() && !one.send.empty()) {
+        reader_.refuse(
+            "send", fmt::format("\"{}\", which nothing acknowledges", one.send.text()),
+            "expect = \"...\", the reply that accepts it, or read_back = \"...\" with the question "
+            "that reads back what it has set, and its reply as expect: a command that nothing "
+            "acknowledges may not have arrived");
+      }
+      for (const char* field : {"angle", "speed"})
+        if (!one.read_back.empty() && !one.expect.empty() && one.send.has(field) && !one.expect.has(field))
+          reader_.refuse("expect", "\"" + one.expect.text() + "\"",
+                         fmt::format("a reply with {{{}}}, which is compared with what was sent", field));
+      note(one.expect, "expect", section != "identify");
+      all.push_back(std::move(one));
+    });
+    return all;
+  }
+
+  /// Keeps a form for the checks between sections.
+  void note(const ReplyForm& form, const std::string& key, bool is_acknowledgement = false) {
+    if (form.empty()) return;
+    PlacedForm placed{form, reader_.line(), reader_.name(key)};
+    (is_acknowledgement ? acknowledgements_ : answers_).push_back(std::move(placed));
+  }
+
+  // ---- Sections
+
+  void read_top() {
+    reader_.section("");
+    std::string schema;
+    reader_.required_text("schema", schema, {kSchema});
+    reader_.required_text("maker", out_.maker);
+    reader_.texts("models", out_.models);
+    if (out_.models.empty())
+      reader_.refuse("models", "nothing", "the models of the identity, as [\"RT-2*\"]");
+    std::vector<std::string> sources;
+    reader_.texts("sources", sources);
+    if (sources.empty())
+      reader_.refuse("sources", "nothing", "where the facts are from, as [\"manual, 2nd edition\"]");
+  }
+
+  void read_transport() {
+    reader_.section("transport");
+    std::optional<int> baud;
+    reader_.integer("baud", baud, 300, 4'000'000);
+    if (baud) out_.baud = static_cast<unsigned>(*baud);
+    reader_.boolean("rts_cts", out_.rts_cts);
+    reader_.text("command_end", command_end_);
+    if (command_end_.empty())
+      reader_.refuse("command_end", "nothing", "what ends a command, as \"\\r\" or \"\\r\\n\"");
+    reader_.boolean("echo", out_.echoes);
+    out_.ignored = reply_forms("ignore");
+    reader_.number("gap_s", out_.gap_s, {0.0, 5.0});
+    reader_.number("reply_s", out_.reply_s, {0.01, 60.0});
+    reader_.text("address", out_.address);
+  }
+
+  void read_axes() {
+    reader_.section("axes");
+    reader_.texts("names", out_.axis_names);
+    reader_.required_text("unit", unit_);
+    reader_.number("units_per_degree", units_per_degree_, {1e-9, 1e12});
+    reader_.number("speed_factor", out_.speed_factor, {1e-9, 1e12});
+    std::optional<double> wraps;
+    reader_.number("wraps_deg", wraps, {360.0, 360.0});
+    out_.wraps = wraps.has_value();
+    reader_.boolean("continuous", continuous_);
+    reader_.text("path", path_, {"", "shortest", "increments"});
+    out_.by_increments = path_ == "increments";
+  }
+
+  void read_identity() {
+    reader_.section("");
+    reader_.tables("identify", 0, [&](std::size_t) { out_.identify.push_back(question("")); });
+    if (out_.identify.empty())
+      reader_.refuse("identify", "nothing", "[[identify]] with send and expect, and {model} in one reply");
+    const bool has_model = std::ranges::any_of(
+        out_.identify, [](const DescribedExchange& each) { return each.expect.has("model"); });
+    if (!out_.identify.empty() && !has_model)
+      reader_.refuse("identify", "no reply with {model}", "the field {model} in one reply");
+  }
+
+  void read_motion() {
+    out_.prepare = commands("prepare");
+    out_.home = commands("home");
+    out_.move = commands("move");
+    out_.set_speed = commands("set_speed");
+    const char* field = out_.by_increments ? "increment" : "angle";
+    reader_.section("");
+    const auto sends = [](const std::vector<DescribedExchange>& all, std::string_view name) {
+      return std::ranges::any_of(all, [&](const DescribedExchange& each) { return each.send.has(name); });
+    };
+    if (!sends(out_.move, field))
+      reader_.refuse("move", "no command with {" + std::string(field) + "}",
+                     "[[move]] with send = \"... {" + std::string(field) + ":.4f}\"");
+    if (!out_.set_speed.empty() && !sends(out_.set_speed, "speed"))
+      reader_.refuse("set_speed", "no command with {speed}", "[[set_speed]] with send = \"... {speed:.3f}\"");
+    if (reader_.gives("scale")) {
+      reader_.section("scale");
+      out_.scale.push_back(question("units_per_turn"));
+    }
+    if (reader_.gives("speed")) {
+      reader_.section("speed");
+      out_.speed = question("speed");
+    }
+  }
+
+  void read_state() {
+    reader_.section("position");
+    out_.position = question("angle");
+    reader_.section("status");
+    out_.status.send = command_form("send", true);
+    out_.moving = reply_form("moving", true);
+    out_.stopped = reply_form("stopped", true);
+    note(out_.moving, "moving");
+    note(out_.stopped, "stopped");
+    if (!out_.moving.empty() && !out_.stopped.empty()) {
+      if (const auto both = common_reply(out_.moving.pattern(), out_.stopped.pattern()))
+        reader_.refuse("stopped", fmt::format("a reply that is also `moving`, such as \"{}\"", *both),
+                       "two forms that no reply fits both: what may be a motion is never taken for rest");
+    }
+    reader_.tables("fault", 0, [&](std::size_t) { out_.status_faults.push_back(fault()); });
+    reader_.section("referenced");
+    reader_.boolean("always", out_.always_referenced);
+    if (out_.always_referenced) {
+      if (!out_.home.empty()) reader_.refuse("always", "true, and [[home]]", "one of both");
+    } else {
+      out_.referenced = DescribedExchange{command_form("send", true), {}, {}};
+      out_.is_referenced = reply_forms("yes");
+      out_.is_not_referenced = reply_forms("no");
+      for (const char* key : {"yes", "no"})
+        if ((key[0] == 'y' ? out_.is_referenced : out_.is_not_referenced).empty())
+          reader_.refuse(key, "nothing", "forms of the replies, as [\"...\"]; or always = true");
+      reader_.section("");
+      if (out_.home.empty())
+        reader_.refuse("home", "nothing", "[[home]], or [referenced] always = true for absolute encoders");
+    }
+    read_travel();
+  }
+
+  void read_travel() {
+    reader_.section("travel");
+    reader_.number("lower_deg", out_.lower_deg, {-36000.0, 36000.0});
+    reader_.number("upper_deg", out_.upper_deg, {-36000.0, 36000.0});
+    bool has_lower = out_.lower_deg.has_value(), has_upper = out_.upper_deg.has_value();
+    reader_.tables("query", 0, [&](std::size_t) {
+      out_.travel.push_back(question(""));
+      has_lower = has_lower || out_.travel.back().expect.has("lower");
+      has_upper = has_upper || out_.travel.back().expect.has("upper");
+    });
+    if (!out_.wraps && !(has_lower && has_upper)) {
+      reader_.section("");
+      reader_.refuse(
+          "travel", "not both ends",
+          "[travel] lower_deg and upper_deg, or [[travel.query]] with {lower} and {upper}; an axis "
+          "without ends has [axes] wraps_deg = 360");
+    }
+    if (out_.lower_deg && out_.upper_deg && !(*out_.lower_deg < *out_.upper_deg))
+      reader_.refuse("lower_deg", fmt::format("{:g} to {:g}", *out_.lower_deg, *out_.upper_deg),
+                     "lower_deg < upper_deg");
+  }
+
+  DescribedFault fault() {
+    DescribedFault out;
+    out.expect = reply_form("expect", true);
+    std::string name;
+    static const std::vector<std::pair<std::string, Fault>> kFaults{{"refused", Fault::kRefused},
+                                                                    {"not_ready", Fault::kNotReady},
+                                                                    {"out_of_travel", Fault::kOutOfTravel},
+                                                                    {"stalled", Fault::kStalled}};
+    reader_.required_text("fault", name, {"refused", "not_ready", "out_of_travel", "stalled"});
+    for (const auto& [word, value] : kFaults)
+      if (word == name) out.fault = value;
+    reader_.text("says", out.says);
+    return out;
+  }
+
+  void read_halt() {
+    reader_.section("halt");
+    std::string send, raw;
+    reader_.text("send", send);
+    reader_.text("raw", raw);
+    out_.halt_reply = reply_form("expect", false);
+    reader_.text("spoil", out_.spoil);
+    if (send.empty() == raw.empty()) {
+      reader_.section("");
+      reader_.refuse("halt", send.empty() ? "no command" : "send and raw",
+                     "[halt] with send = \"...\", a command that stops all axes, or raw = \"...\", bytes "
+                     "without the end of a command: a stage that cannot be halted is not driven");
+    }
+    out_.halt = raw.empty() ? send + command_end_ : raw;
+    out_.command_end = command_end_;
+    if (out_.gap_s > 0.0 && out_.halt.find("{axis}") != std::string::npos)
+      reader_.refuse(raw.empty() ? "send" : "raw", "a stop of each axis, with [transport] gap_s",
+                     "one command that stops all axes: the second of two would be lost");
+  }
+
+  void read_errors() {
+    reader_.section("");
+    reader_.tables("error", 0, [&](std::size_t) {
+      out_.errors.push_back(fault());
+      if (!out_.errors.back().expect.empty())
+        refusals_.push_back({out_.errors.back().expect, reader_.line(), reader_.name("expect")});
+    });
+  }
+
+  void read_emulator() {
+    reader_.section("emulator");
+    reader_.text("driver", out_.emulator_firmware);
+    for (const char* field : {"model", "firmware"}) {
+      std::string value;
+      reader_.text(field, value);
+      if (!value.empty()) out_.emulator_values[field] = value;
+    }
+    reader_.text("unknown", out_.emulator_unknown);
+  }
+
+  // ---- Checks between sections
+
+  void check_scale() {
+    const bool asked = !out_.scale.empty();
+    reader_.section("axes");
+    if (unit_ != "deg" && !unit_.empty() && !units_per_degree_ && !asked)
+      reader_.refuse("unit", "\"" + unit_ + "\" without a scale",
+                     "units_per_degree, or [scale] that asks for {units_per_turn}");
+    if (unit_ == "deg" && (units_per_degree_ || asked))
+      reader_.refuse("unit", "\"deg\" with another scale", "the unit of the angles on the line");
+    out_.units_per_degree = units_per_degree_.value_or(1.0);
+  }
+
+  /// A command without the name of its axis would be for both.
+  void check_axes() {
+    if (out_.axis_names.size() == 1) return;
+    reader_.section("");
+    const auto check = [&](const char* key, const CommandForm& send) {
+      if (!send.empty() && !send.has("axis"))
+        reader_.refuse(
+            key, "\"" + send.text() + "\" without {axis}",
+            "{axis}, the name of the axis; or [axes] names with one name, for a controller of one axis");
+    };
+    const auto first_move = std::ranges::find_if(out_.move, [](const DescribedExchange& each) {
+      return each.send.has("angle") || each.send.has("increment");
+    });
+    if (first_move != out_.move.end()) check("move", first_move->send);
+    check("position", out_.position.send);
+    check("status", out_.status.send);
+  }
+
+  void check_wrap() {
+    reader_.section("axes");
+    if (continuous_ && !out_.wraps)
+      reader_.refuse(
+          "continuous", "true without wraps_deg",
+          "wraps_deg = 360: an axis that turns for ever counts modulo 360, or its angle has no end");
+    if (out_.wraps && path_.empty())
+      reader_.refuse("wraps_deg", "360 without path",
+                     "path = \"shortest\", if the controller takes the shorter way, or \"increments\"");
+    if (!out_.wraps && !path_.empty())
+      reader_.refuse("path", "\"" + path_ + "\" without wraps_deg", "wraps_deg = 360, or no path");
+  }
+
+  /// Replies that could be taken for others.
+  void check_replies() {
+    for (const PlacedForm& refusal : refusals_) {
+      for (const PlacedForm& acknowledgement : acknowledgements_)
+        check_pair(refusal, acknowledgement, "an acknowledgement");
+      for (const PlacedForm& answer : answers_) check_pair(refusal, answer, "an answer");
+    }
+    if (out_.identify.empty() || out_.identify[0].expect.empty()) return;
+    const ReplyPattern identity = out_.identify[0].expect.pattern();
+    bool is_first = true;  // The identity itself.
+    for (const std::vector<PlacedForm>* forms : {&answers_, &acknowledgements_}) {
+      for (const PlacedForm& other : *forms) {
+        if (std::exchange(is_first, false)) continue;
+        if (const auto both = common_reply(identity, other.form.pattern()))
+          reader_.add_problem_at(
+              other.line, other.where,
+              fmt::format("\"{}\", a reply that can be that of the first [[identify]] too: \"{}\"",
+                          other.form.text(), *both),
+              "two forms that no reply fits both: the identity tells late replies from new ones");
+      }
+    }
+  }
+
+  void check_pair(const PlacedForm& refusal, const PlacedForm& other, const char* word) {
+    if (const auto both = common_reply(refusal.form.pattern(), other.form.pattern()))
+      reader_.add_problem_at(refusal.line, refusal.where,
+                             fmt::format("\"{}\" can be {} too (line {}, {}): \"{}\"", refusal.form.text(),
+                                         word, other.line, other.where, *both),
+                             "two forms that no reply fits both");
+  }
+
+  TomlReader& reader_;
+  StageDescription& out_;
+  std::string command_end_, unit_, path_;
+  std::optional<double> units_per_degree_;
+  bool continuous_ = false;
+  std::vector<PlacedForm> acknowledgements_, answers_, refusals_;
+};
+
+}  // namespace
+
+StageDescription parse_stage_description(std::string_view text, const std::string& source,
+                                         std::vector<Problem>& problems) {
+  StageDescription out;
+  out.text = text;
+  out.source = source;
+  out.sha256 = sha256_of(text);
+  std::vector<Problem> unreadable;
+  const toml::table root = parse_toml(text, source, kKind, unreadable);
+  const bool is_empty = root.empty() && !unreadable.empty();
+  std::ranges::move(unreadable, std::back_inserter(problems));
+  if (is_empty) return out;
+  TomlReader reader(root, {}, text);
+  DescriptionReader(reader, out).read();
+  reader.report_unknown();
+  std::ranges::move(reader.take_problems(), std::back_inserter(problems));
+  return out;
+}
+
+std::string stage_description_text(const std::string& name_or_path, std::vector<Problem>& problems) {
+  for (const ShippedDescription& shipped : shipped_descriptions())
+    if (shipped.name == name_or_path) return std::string(shipped.text);
+  std::error_code ignored;
+  if (name_or_path.find_first_of("./") == std::string::npos &&
+      !std::filesystem::exists(name_or_path, ignored)) {
+    std::vector<std::string> names;
+    for (const ShippedDescription& shipped : shipped_descriptions()) names.emplace_back(shipped.name);
+    problems.push_back({"the description", "\"" + name_or_path + "\"", "a file, or one of " + joined(names)});
+    return {};
+  }
+  return read_text_file(name_or_path, "description of a stage", problems);
+}
+
+StageDescription stage_description_of(const StageConfig& stage) {
+  std::vector<Problem> problems;
+  const std::string& kept = stage.description_text;
+  const std::string text = kept.empty() ? stage_description_text(stage.description, problems) : kept;
+  StageDescription out;
+  if (problems.empty()) out = parse_stage_description(text, stage.description, problems);
+  if (!problems.empty())
+    throw std::invalid_argument(fmt::format("description {}: {} problem{}{}", stage.description,
+                                            problems.size(), problems.size() == 1 ? "" : "s",
+                                            list_of(problems)));
+  return out;
+}
+
+}  // namespace abcal

@@ -1,0 +1,171 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/instrument/reply_pattern.h"
+
+namespace abcal {
+
+/// Values of named fields: "angle" -> "12.3456".
+using FieldValues = std::map<std::string, std::string, std::less<>>;
+
+/// A reply as a description of a stage writes it: text with fields in braces (docs/drivers/described.md).
+class ReplyForm {
+ public:
+  ReplyForm() = default;
+  /// @throws std::invalid_argument with the place in words, for a form that cannot be meant
+  explicit ReplyForm(std::string text);
+
+  const std::string& text() const { return text_; }
+  bool empty() const { return text_.empty(); }
+  /// Whether it has the field "angle".
+  bool has(std::string_view field) const;
+
+  /// The values of the fields if the whole reply, without its end, is of this form.
+  std::optional<FieldValues> match(std::string_view reply) const;
+  /// The same replies, for a process that has only a HaltRecipe.
+  ReplyPattern pattern() const;
+  /// A reply of this form. Fields without a value get an arbitrary one that fits.
+  std::string reply(const FieldValues& values) const;
+
+  /// One part. For numbers, words and texts the field is their name, or empty.
+  struct Part {
+    enum class Kind : std::uint8_t {
+      kLiteral,  ///< This text.
+      kBlanks,   ///< One blank or more.
+      kNumber,   ///< A decimal number with sign, point and exponent.
+      kRange,    ///< A whole number from `least` to `most`.
+      kDigits,   ///< `least` decimal digits; 0: one or more.
+      kHex,      ///< `least` hexadecimal digits (0: one to eight) under `mask`.
+      kWord,     ///< One character or more, no blank.
+      kText,     ///< Anything, also nothing.
+    };
+    enum class Bits : std::uint8_t { kFree, kNoneSet, kSomeSet };
+
+    Kind kind = Kind::kLiteral;
+    std::string text{};  ///< Of a literal.
+    std::string field{};
+    std::uint32_t least = 0, most = 0;
+    std::uint32_t mask = 0;
+    Bits bits = Bits::kFree;
+  };
+
+ private:
+  std::string text_;
+  std::vector<Part> parts_;
+};
+
+/// A reply that fits both, or nothing if there is none: then no reply can be taken for the other one.
+std::optional<std::string> common_reply(const ReplyPattern& one, const ReplyPattern& other);
+
+/// A command as a description writes it: text with fields in braces.
+class CommandForm {
+ public:
+  CommandForm() = default;
+  /// @throws std::invalid_argument for a field that no command has, or a number without its decimals
+  explicit CommandForm(std::string text);
+
+  const std::string& text() const { return text_; }
+  bool empty() const { return text_.empty(); }
+  bool has(std::string_view field) const;
+  /// Half of the last decimal place with which a number is sent.
+  double half_place(std::string_view field) const;
+
+  /// The command with these values.
+  std::string with(const FieldValues& texts, const std::map<std::string, double, std::less<>>& numbers) const;
+  /// The values of a command of this form, with `texts` as the only texts that are accepted for a field.
+  std::optional<FieldValues> match(std::string_view command,
+                                   const std::map<std::string, std::vector<std::string>>& texts) const;
+
+  struct Part {
+    std::string text{};   ///< Of a literal.
+    std::string field{};  ///< Empty: a literal.
+    int decimals = 0;
+  };
+
+ private:
+  std::string text_;
+  std::vector<Part> parts_;
+};
+
+/// One exchange: a command or a question and its reply; or a command without a reply, and the question that
+/// reads back what it has set.
+struct DescribedExchange {
+  CommandForm send;
+  ReplyForm expect;
+  CommandForm read_back;  ///< Empty: `expect` is the reply to `send`; otherwise to this question.
+
+  bool operator==(const DescribedExchange& other) const {
+    return send.text() == other.send.text() && expect.text() == other.expect.text() &&
+           read_back.text() == other.read_back.text();
+  }
+};
+
+/// A reply that is a fault: of a command that is refused, or a state that ends a motion.
+struct DescribedFault {
+  ReplyForm expect;
+  Fault fault = Fault::kRefused;
+  std::string says;  ///< In words; empty: the reply itself.
+};
+
+/// A stage as its description states it: plain data, from which the driver, the halt recipe and the emulator
+/// are made. Angles in degrees.
+struct StageDescription {
+  std::string maker;
+  std::vector<std::string> models;  ///< Of the identity; "RT-2*".
+  std::string text;                 ///< The whole file.
+  std::string sha256;               ///< Of the text.
+  std::string source;               ///< For messages: its name or path.
+  std::string tried_with;           ///< Maker, model and serial number of the trial; empty: any stage.
+
+  // The line.
+  unsigned baud = 9600;
+  bool rts_cts = false;
+  std::string command_end = "\r";
+  bool echoes = false;             ///< Each command comes back in front of its reply.
+  std::vector<ReplyForm> ignored;  ///< Lines that answer nothing.
+  double gap_s = 0.0;              ///< Least time from a command or a reply to the next command.
+  double reply_s = 1.0;            ///< Longest time of a reply.
+  std::string address;             ///< What {address} stands for if the bench file states none.
+
+  // The axes.
+  std::vector<std::string> axis_names;  ///< That a bench file may use; empty: any.
+  double units_per_degree = 1.0;        ///< Of angles on the line; the scale, if asked for, replaces it.
+  double speed_factor = 1.0;            ///< Speeds on the line are units per second times this.
+  bool wraps = false;                   ///< It counts modulo 360 and is sent angles, or
+  bool by_increments = false;           ///< increments below half a turn.
+  bool always_referenced = false;
+
+  std::vector<DescribedExchange> identify, prepare, home, move, set_speed, travel, scale;
+  DescribedExchange position, status;
+  std::optional<DescribedExchange> speed, referenced;
+  ReplyForm moving, stopped;
+  std::vector<DescribedFault> status_faults;
+  std::vector<ReplyForm> is_referenced, is_not_referenced;
+  std::optional<double> lower_deg, upper_deg;
+
+  std::string halt;      ///< Bytes that stop all axes, with their end; may contain {axis} and {address}.
+  ReplyForm halt_reply;  ///< Of the halt; empty: none. It does not confirm standstill: the status does.
+  std::string spoil;     ///< Makes a half-written command one that is refused.
+
+  std::vector<DescribedFault> errors;
+
+  // What only the emulator needs.
+  std::string
+      emulator_firmware;        ///< Name of a driver whose simulated instrument is used; empty: made of this.
+  FieldValues emulator_values;  ///< Of text fields: model, firmware.
+  std::string emulator_unknown;  ///< Reply to a command that it does not know; empty: none.
+
+  /// The bytes that stop the axes of these names.
+  std::string stop_bytes(const std::array<std::string, 2>& names, const std::string& address_of_stage) const;
+  bool accepts_model(std::string_view model) const;
+};
+
+}  // namespace abcal

@@ -1,0 +1,148 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/bench_file/bench_config.h"
+#include "app/bench_file/stage_description_file.h"
+#include "tests/support/project_paths.h"
+#include "tests/support/test_data.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+std::string example() {
+  std::ifstream file(test::source_folder() / "docs/examples/described_stage.toml");
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+std::string replaced(std::string text, const std::string& what, const std::string& with) {
+  const std::size_t at = text.find(what);
+  EXPECT_NE(at, std::string::npos) << what;
+  return at == std::string::npos ? text : text.replace(at, what.size(), with);
+}
+
+std::string problems_of(const std::string& text) {
+  std::vector<Problem> problems;
+  parse_stage_description(text, "stage.toml", problems);
+  return list_of(problems);
+}
+
+TEST(StageDescriptionTest, TheExampleAndTheShippedOnesHaveNoProblem) {
+  EXPECT_EQ(problems_of(example()), "");
+  ASSERT_FALSE(shipped_descriptions().empty());
+  for (const ShippedDescription& shipped : shipped_descriptions())
+    EXPECT_EQ(problems_of(std::string(shipped.text)), "") << shipped.name;
+}
+
+struct BadDescription {
+  const char* name;
+  const char* what;
+  const char* with;
+  const char* found;
+  const char* required;
+};
+
+class BadDescriptionTest : public testing::TestWithParam<BadDescription> {};
+
+TEST_P(BadDescriptionTest, IsRefusedWithLineAndRemedy) {
+  const BadDescription& bad = GetParam();
+  const std::string problems = problems_of(replaced(example(), bad.what, bad.with));
+  EXPECT_THAT(problems, AllOf(HasSubstr("line "), HasSubstr(bad.found), HasSubstr(bad.required)));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, BadDescriptionTest,
+    testing::Values(
+        BadDescription{"UnknownField", "+ {speed}", "+ {speeed}", "{speeed}", "{speed}"},
+        BadDescription{"UnknownKey", "gap_s = 0.05", "gap_ms = 50", "gap_ms", "gap_s"},
+        BadDescription{"UnitWithoutScale", "unit = \"deg\"", "unit = \"count\"", "\"count\" without a scale",
+                       "units_per_degree"},
+        BadDescription{"OneReplyTwoMeanings", "- {digits2} {text}", "{text}", "can be an acknowledgement too",
+                       "no reply fits both"},
+        BadDescription{"MotionThatIsRest", "{hex4 none 0002}", "{hex4}", "a reply that is also `moving`",
+                       "never taken for rest"},
+        BadDescription{"NoHalt", "send = \"HA\"", "", "no command", "a stage that cannot be halted"},
+        BadDescription{"NoAcknowledgementOfAMove", "send = \"GO {axis} {angle:.4f}\"\nexpect = \"+\"",
+                       "send = \"GO {axis} {angle:.4f}\"", "which nothing acknowledges", "read_back"},
+        BadDescription{"NoAcknowledgementOfAHalt", "stopped = \"+ {hex4 none 0002}\"", "", "[status] stopped",
+                       "text in quotes"},
+        BadDescription{"ContinuousWithoutWrap", "wraps_deg = 360 ", "# ", "true without wraps_deg",
+                       "wraps_deg = 360"},
+        BadDescription{"WrapWithoutPath", "path = \"shortest\"", "", "360 without path", "path = "},
+        BadDescription{"MoveWithoutAngle", "GO {axis} {angle:.4f}", "GO {axis}", "no command with {angle}",
+                       "[[move]]"},
+        BadDescription{"NumberWithoutDecimals", "{angle:.4f}", "{angle}", "the decimals", "{angle:.4f}"},
+        BadDescription{"NoAxis", "PO {axis}", "PO", "without {axis}", "names with one name"},
+        BadDescription{"NoSource", "sources = [\"RT-2 two-axis table, remote control (made up)\"]", "",
+                       "sources", "where the facts are from"},
+        BadDescription{"WrongSchema", "abcal.stage/1", "abcal.stage/9", "abcal.stage/9", "abcal.stage/1"}),
+    [](const auto& one) { return std::string(one.param.name); });
+
+TEST(StageDescriptionTest, AllProblemsAreReportedAtOnce) {
+  std::string text = replaced(example(), "+ {speed}", "+ {speeed}");
+  text = replaced(text, "gap_s = 0.05", "gap_ms = 50");
+  text = replaced(text, "send = \"HA\"", "");
+  EXPECT_THAT(problems_of(text),
+              AllOf(HasSubstr("speeed"), HasSubstr("gap_ms"), HasSubstr("cannot be halted")));
+}
+
+constexpr const char* kBench =
+    "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"described\"\nport = \"simulated\"\n"
+    "description = \"zaber_ascii\"\n[accelerometer]\ndriver = \"simulated\"\n";
+
+TEST(StageDescriptionTest, ABenchKeepsTheTextOfItsDescription) {
+  const BenchConfig config = parse_bench(kBench, "bench");
+  EXPECT_THAT(config.stage.description_text, HasSubstr("get limit.cycle.dist"));
+  const BenchConfig again = parse_bench(write_bench(config), "run");
+  EXPECT_EQ(again.stage.description_text, config.stage.description_text);
+  EXPECT_EQ(stage_description_of(again.stage).sha256, stage_description_of(config.stage).sha256);
+}
+
+TEST(StageDescriptionTest, ABenchWithoutItOrWithABadOneIsRefused) {
+  const auto words = [](const std::string& text) -> std::string {
+    try {
+      parse_bench(text, "bench");
+    } catch (const BenchError& error) {
+      return error.what();
+    }
+    return {};
+  };
+  EXPECT_THAT(words(replaced(kBench, "description = \"zaber_ascii\"\n", "")),
+              HasSubstr("[stage] description"));
+  EXPECT_THAT(words(replaced(kBench, "\"zaber_ascii\"", "\"zaber_asci\"")),
+              AllOf(HasSubstr("zaber_asci"), HasSubstr("\"zaber_ascii\"")));
+  EXPECT_THAT(words(replaced(kBench, "\"described\"", "\"zaber_ascii\"")),
+              HasSubstr("driver = \"described\""));
+}
+
+// Every command of the example is in the manual that it describes.
+TEST(StageDescriptionTest, TheExampleSaysWhatItsManualSays) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "described/manual.md");
+  std::ifstream file(path);
+  const std::string manual{std::istreambuf_iterator<char>(file), {}};
+  std::vector<Problem> problems;
+  const StageDescription description = parse_stage_description(example(), "example", problems);
+  std::vector<DescribedExchange> all = description.identify;
+  for (const auto* more :
+       {&description.prepare, &description.home, &description.move, &description.set_speed})
+    all.insert(all.end(), more->begin(), more->end());
+  all.push_back(description.position);
+  all.push_back(description.status);
+  for (const DescribedExchange& each : all) {
+    const std::string command = each.send.text().substr(0, 2);
+    EXPECT_THAT(manual, HasSubstr("| `" + command)) << each.send.text();
+  }
+  EXPECT_THAT(manual, HasSubstr("| `" + description.halt.substr(0, 2)));
+}
+
+}  // namespace
+}  // namespace abcal

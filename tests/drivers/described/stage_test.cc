@@ -1,0 +1,205 @@
+#include "drivers/described/stage.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/bench_file/stage_description_file.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/instrument/mounted_stage.h"
+#include "drivers/wire/halt_recipe.h"
+#include "sim/firmware/described_firmware.h"
+#include "sim/firmware/firmware_stream.h"
+#include "sim/sim_clock.h"
+#include "tests/drivers/described/rt2_controller.h"
+#include "tests/support/error_of.h"
+#include "tests/support/project_paths.h"
+
+namespace abcal::described {
+namespace {
+
+using namespace std::chrono_literals;
+using test::error_of;
+using testing::AllOf;
+using testing::HasSubstr;
+
+std::shared_ptr<const StageDescription> example() {
+  std::ifstream file(test::source_folder() / "docs/examples/described_stage.toml");
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  std::vector<Problem> problems;
+  auto description = parse_stage_description(text, "example", problems);
+  EXPECT_EQ(list_of(problems), "");
+  return std::make_shared<const StageDescription>(std::move(description));
+}
+
+/// The driver with the example's description, and the controller: written from the manual, or made of the
+/// description.
+class DescribedStageTest : public testing::Test {
+ protected:
+  static StageSettings settings() {
+    StageSettings settings;
+    settings.axis_names = {"O", "I"};
+    settings.description = example();
+    return settings;
+  }
+  std::unique_ptr<sim::FirmwareStream> stream() {
+    return std::make_unique<sim::FirmwareStream>(controller_, clock_);
+  }
+  void wait_until_stopped(RotationStage& stage, StageAxis axis) {
+    for (int polls = 0; stage.motion_state(axis) == MotionState::kMoving; ++polls) {
+      ASSERT_LT(polls, 10'000);
+      clock_.sleep_until(clock_.now() + 10ms);
+    }
+  }
+  void home(RotationStage& stage) {
+    stage.identify();
+    for (const StageAxis axis : kStageAxes) {
+      stage.home(axis);
+      wait_until_stopped(stage, axis);
+    }
+  }
+
+  sim::SimClock clock_;
+  std::shared_ptr<sim::SimBench> world_ = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock_.now());
+  std::shared_ptr<test::Rt2Controller> controller_ = std::make_shared<test::Rt2Controller>(world_);
+  DescribedStage stage_{stream(), clock_, settings()};
+};
+
+TEST_F(DescribedStageTest, IdentifiesHomesAndMovesTheControllerOfTheManual) {
+  const StageInfo info = stage_.identify();
+  EXPECT_EQ(info.model, "RT-2");
+  EXPECT_EQ(info.serial_number, "00412");
+  EXPECT_EQ(info.firmware, "3.07");
+  EXPECT_FALSE(info.axes[0].referenced);
+  home(stage_);
+  EXPECT_TRUE(stage_.identify().axes[0].referenced);
+  for (const double angle : {12.5, 179.0, 350.0}) {
+    stage_.move_to(StageAxis::kX, Angle::degrees(angle));
+    EXPECT_EQ(stage_.motion_state(StageAxis::kX), MotionState::kMoving);
+    wait_until_stopped(stage_, StageAxis::kX);
+    EXPECT_NEAR(stage_.encoder_angle(StageAxis::kX).deg(), angle, 1e-3);
+  }
+  EXPECT_EQ(controller_->lost, 0U) << "the gap between commands is kept";
+}
+
+TEST_F(DescribedStageTest, SetsASpeedAndGoesBackToTheUsualOne) {
+  home(stage_);
+  const double usual = world_->motion_limits(StageAxis::kX).speed_deg_per_s;
+  stage_.set_speed(StageAxis::kX, 7.5);
+  EXPECT_DOUBLE_EQ(world_->motion_limits(StageAxis::kX).speed_deg_per_s, 7.5);
+  stage_.set_speed(StageAxis::kX, std::nullopt);
+  EXPECT_NEAR(world_->motion_limits(StageAxis::kX).speed_deg_per_s, usual, 1e-3);
+  EXPECT_THAT(error_of([&] { stage_.set_speed(StageAxis::kX, 500.0); }, Fault::kOutOfTravel),
+              HasSubstr("- 13"));
+}
+
+TEST_F(DescribedStageTest, AMoveBeforeHomingIsRefused) {
+  stage_.identify();
+  error_of([&] { stage_.move_to(StageAxis::kX, Angle::degrees(10)); }, Fault::kNotReady);
+  EXPECT_FALSE(world_->moving(StageAxis::kX, clock_.now()));
+}
+
+TEST_F(DescribedStageTest, AnOpenInterlockIsRefusedBeforeAnythingMoves) {
+  controller_->chain_open = true;
+  stage_.identify();
+  EXPECT_THAT(error_of([&] { stage_.home(StageAxis::kX); }, Fault::kNotReady),
+              HasSubstr("emergency chain is open; close it"));
+  EXPECT_FALSE(world_->moving(StageAxis::kX, clock_.now()));
+}
+
+TEST_F(DescribedStageTest, AnInterlockThatOpensInMotionIsAFaultAndTheServoIsSwitchedOnAgain) {
+  home(stage_);
+  stage_.move_to(StageAxis::kZ, Angle::degrees(90));
+  controller_->open_chain(clock_.now());
+  error_of([&] { stage_.motion_state(StageAxis::kZ); }, Fault::kNotReady);
+  controller_->chain_open = false;
+  stage_.move_to(StageAxis::kZ, Angle::degrees(20));
+  wait_until_stopped(stage_, StageAxis::kZ);
+  EXPECT_NEAR(stage_.encoder_angle(StageAxis::kZ).deg(), 20.0, 1e-3);
+}
+
+TEST_F(DescribedStageTest, ATableThatMovesWhenItIsPreparedIsHalted) {
+  controller_->moves_on_servo = true;
+  stage_.identify();
+  EXPECT_THAT(error_of([&] { stage_.home(StageAxis::kX); }, Fault::kRefused),
+              AllOf(HasSubstr("on [[prepare]]"), HasSubstr("was halted")));
+  clock_.sleep_until(clock_.now() + 2s);
+  EXPECT_FALSE(world_->moving(StageAxis::kX, clock_.now()));
+  EXPECT_LT(world_->encoder_angle(StageAxis::kX, clock_.now()).deg(), 29.0);
+}
+
+TEST_F(DescribedStageTest, HaltsInMotionAndByTheRecipeAlone) {
+  home(stage_);
+  for (const bool by_recipe : {false, true}) {
+    stage_.move_to(StageAxis::kX, Angle::degrees(by_recipe ? 10 : 150));
+    stage_.move_to(StageAxis::kZ, Angle::degrees(by_recipe ? 10 : 150));
+    clock_.sleep_until(clock_.now() + 500ms);
+    ASSERT_TRUE(world_->moving(StageAxis::kX, clock_.now()));
+    if (by_recipe) {
+      const std::vector<HaltRecipe> recipes = stage_.halt_recipes();
+      ASSERT_EQ(recipes.size(), 1U);
+      sim::FirmwareStream port(controller_, clock_);
+      port.write("GO O 12");  // The owner died here.
+      EXPECT_TRUE(wire::carry_out(recipes[0], port, clock_, clock_.now() + 5s));
+      EXPECT_TRUE(std::ranges::find(controller_->commands, "GO O 12") == controller_->commands.end());
+    } else {
+      EXPECT_TRUE(stage_.halt());
+    }
+    for (const StageAxis axis : kStageAxes) EXPECT_FALSE(world_->moving(axis, clock_.now()));
+  }
+}
+
+TEST_F(DescribedStageTest, RefusesAnotherInstrumentAndAnAxisThatItDoesNotName) {
+  auto other = *example();
+  other.models = {"RT-3*"};
+  StageSettings wrong = settings();
+  wrong.description = std::make_shared<const StageDescription>(other);
+  DescribedStage stage(stream(), clock_, wrong);
+  error_of([&] { stage.identify(); }, Fault::kWrongIdentity);
+  wrong = settings();
+  wrong.axis_names = {"1", "2"};
+  EXPECT_THROW(DescribedStage(stream(), clock_, wrong), std::invalid_argument);
+  wrong = settings();
+  wrong.description = nullptr;
+  EXPECT_THROW(DescribedStage(stream(), clock_, wrong), std::invalid_argument);
+}
+
+TEST_F(DescribedStageTest, TurnsBeyondAWholeTurnWithItsMounting) {
+  const AxisMounting mounting{Angle{}, +1, Angle::degrees(-400), Angle::degrees(400), true};
+  MountedStage stage(std::make_unique<DescribedStage>(stream(), clock_, settings()), {mounting, mounting});
+  home(stage);
+  for (const double angle : {160.0, 320.0, 370.0, 250.0, 100.0, -20.0}) {
+    stage.move_to(StageAxis::kX, Angle::degrees(angle));
+    wait_until_stopped(stage, StageAxis::kX);
+    EXPECT_NEAR(stage.encoder_angle(StageAxis::kX).deg(), angle, 1e-3);
+    EXPECT_NEAR(world_->commanded_angle(StageAxis::kX, clock_.now()).deg(), angle, 1e-3);
+  }
+}
+
+// The controller that the description itself makes: it agrees with the driver.
+TEST_F(DescribedStageTest, TheEmulatorOfTheDescriptionAnswersTheDriver) {
+  sim::DescribedSettings names;
+  names.axis_names = {"O", "I"};
+  const auto firmware = std::make_shared<sim::DescribedFirmware>(world_, example(), names);
+  DescribedStage stage(std::make_unique<sim::FirmwareStream>(firmware, clock_), clock_, settings());
+  home(stage);
+  EXPECT_TRUE(stage.identify().axes[1].referenced);
+  stage.move_to(StageAxis::kX, Angle::degrees(120));
+  wait_until_stopped(stage, StageAxis::kX);
+  EXPECT_NEAR(stage.encoder_angle(StageAxis::kX).deg(), 120.0, 1e-3);
+  stage.move_to(StageAxis::kX, Angle::degrees(10));
+  clock_.sleep_until(clock_.now() + 200ms);
+  EXPECT_TRUE(stage.halt());
+  EXPECT_FALSE(world_->moving(StageAxis::kX, clock_.now()));
+  EXPECT_TRUE(firmware->unserved().all().empty());
+}
+
+}  // namespace
+}  // namespace abcal::described
