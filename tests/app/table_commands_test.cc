@@ -97,6 +97,23 @@ TEST_F(TableCommands, WhatTheFileDoesNotSayOptionsDo) {
   EXPECT_THAT(refused.err, HasSubstr("--columns: found 4 names"));
 }
 
+TEST_F(TableCommands, PrintedCommandsRepeatTheOptionsThatTheFileNeeds) {
+  write_poses("a.csv", 1);
+  const std::vector<std::string> options{"--columns=x,y,z", "--unit", "m/s2", "--time-unit", "ms"};
+  std::vector<std::string> analyse{"analyse", "a.csv"};
+  analyse.insert(analyse.end(), options.begin(), options.end());
+  const std::string named = "a.csv --columns=x,y,z --unit=m/s2 --time-unit=ms";
+  EXPECT_THAT(abcal(analyse).out,
+              AllOf(HasSubstr("abcal analyse " + named + " --full\n"), HasSubstr("File: " + named + "\n")));
+  // A line as it is printed is a command.
+  std::vector<std::string> full{"analyse"};
+  std::istringstream words(named + " --full");
+  for (std::string word; words >> word;) full.push_back(word);
+  const ProgramResult again = abcal(full);
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+  EXPECT_THAT(again.err, HasSubstr("readings x, y, z in m/s2"));
+}
+
 TEST_F(TableCommands, AnEstimatorThatNeedsAnglesNamesTheOneThatDoesNot) {
   write_poses("a.csv", 1);
   for (const char* command : {"analyse", "uncertainty", "compare"}) {
