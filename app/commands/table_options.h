@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// Adds --columns, --unit, --time-unit and --topic.
+/// Adds --columns, --unit, --time-unit, --topic and --keep-mapping.
 void add_table_options(CLI::App& command, TableOptions& options);
 
 /// A file with the options that it needs, as a command takes both: "a.csv --unit g".

@@ -240,7 +240,7 @@ class PoseImporter {
 
   /// The unit of the times: stated, or from their spacing.
   TimeUnit time_unit() {
-    std::string stated = options_.time_unit, by = "--time-unit";
+    std::string stated = options_.time_unit, by = options_.time_unit_by;
     for (const TableComment& comment : table_.comments())
       if (comment.key == "time_unit" && stated.empty()) {
         stated = comment.value;

@@ -292,12 +292,13 @@ class ColumnFinder {
 };
 
 /// A name for each of `width` columns from `--columns`.
-std::vector<std::string> stated_columns(const std::string& stated, std::size_t width,
+std::vector<std::string> stated_columns(const TableOptions& options, std::size_t width,
                                         TableProblems& problems) {
   std::vector<std::string> names;
-  for (const std::string_view name : pieces::split(stated, ',')) names.emplace_back(pieces::trimmed(name));
+  for (const std::string_view name : pieces::split(options.columns, ','))
+    names.emplace_back(pieces::trimmed(name));
   if (names.size() > width)
-    problems.add("--columns", fmt::format("{} names", names.size()),
+    problems.add(options.columns_by, fmt::format("{} names", names.size()),
                  fmt::format("at most {}, as many as the first row has columns", width));
   names.resize(width);
   return names;
@@ -328,7 +329,7 @@ TableColumns find_columns(TableReader& table, const TableOptions& options, Table
   });
   const std::size_t width = first.cells.size();
   const std::string where =
-      options.columns.empty() ? fmt::format("line {}, header", first.line) : "--columns";
+      options.columns.empty() ? fmt::format("line {}, header", first.line) : options.columns_by;
   std::vector<std::string> names = first.cells, units;
   if (!has_header) {
     names = table.commented_header();
@@ -350,7 +351,7 @@ TableColumns find_columns(TableReader& table, const TableOptions& options, Table
       }
     }
   }
-  if (!options.columns.empty()) names = stated_columns(options.columns, width, problems);
+  if (!options.columns.empty()) names = stated_columns(options, width, problems);
   if (names.empty() && width == 3) names = {"r_u", "r_v", "r_w"};
   if (names.empty() && width == 4) names = {"t", "r_u", "r_v", "r_w"};
   if (names.empty()) {

@@ -114,6 +114,44 @@ TEST_F(TableCommands, PrintedCommandsRepeatTheOptionsThatTheFileNeeds) {
   EXPECT_THAT(again.err, HasSubstr("readings x, y, z in m/s2"));
 }
 
+TEST_F(TableCommands, AMappingIsKeptBesideTheTable) {
+  write_poses("a.csv", 1);
+  const ProgramResult kept =
+      abcal({"analyse", "a.csv", "--unit", "m/s2", "--columns", "x,y,z", "--keep-mapping"});
+  EXPECT_EQ(kept.exit_code, 0) << kept.err;
+  EXPECT_THAT(kept.err, HasSubstr("kept in a.csv.mapping.toml"));
+  EXPECT_THAT(kept.out, HasSubstr("abcal analyse a.csv --full\n"));
+  EXPECT_EQ(test::read_file(folder / "a.csv.mapping.toml"),
+            "schema = 'abcal.mapping/1'\ncolumns = 'x,y,z'\nunit = 'm/s2'\n");
+  for (const char* command : {"analyse", "report", "uncertainty"})
+    EXPECT_THAT(abcal({command, "a.csv"}).err,
+                HasSubstr("readings x, y, z in m/s2; commas between the cells; columns, unit as "
+                          "a.csv.mapping.toml states"))
+        << command;
+  EXPECT_EQ(json_of({"analyse", "a.csv"}).at("response_unit"), "m/s2");
+  // The command line has precedence.
+  EXPECT_EQ(json_of({"analyse", "a.csv", "--unit", "g"}).at("response_unit"), "g");
+  write_poses("b.csv", 2);
+  EXPECT_THAT(abcal({"analyse", "b.csv", "--keep-mapping"}).err, HasSubstr("nothing is stated of b.csv"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "b.csv.mapping.toml"));
+}
+
+TEST_F(TableCommands, AMappingThatIsWrongIsRefusedWithEveryProblem) {
+  write_poses("a.csv", 1);
+  test::write_file(folder / "a.csv.mapping.toml",
+                   "schema = \"abcal.mapping/1\"\nunits = \"g\"\ntime_unit = \"min\"\ncolumns = 3\n");
+  const ProgramResult refused = abcal({"analyse", "a.csv"});
+  EXPECT_NE(refused.exit_code, 0);
+  EXPECT_THAT(refused.err,
+              AllOf(HasSubstr("mapping a.csv.mapping.toml: 3 problems"), HasSubstr("line 2"),
+                    HasSubstr("\"unit\""), HasSubstr("line 3, time_unit"), HasSubstr("line 4, columns")));
+  // Columns that do not fit the table: the message names the mapping.
+  test::write_file(folder / "a.csv.mapping.toml", "schema = \"abcal.mapping/1\"\ncolumns = \"t,x,y,z\"\n");
+  EXPECT_THAT(abcal({"analyse", "a.csv"}).err, HasSubstr("a.csv.mapping.toml, columns: found 4 names"));
+  test::write_file(folder / "a.csv.mapping.toml", "unit = \"g\"\n");
+  EXPECT_THAT(abcal({"analyse", "a.csv"}).err, HasSubstr("abcal.mapping/1"));
+}
+
 TEST_F(TableCommands, AnEstimatorThatNeedsAnglesNamesTheOneThatDoesNot) {
   write_poses("a.csv", 1);
   for (const char* command : {"analyse", "uncertainty", "compare"}) {
