@@ -9,6 +9,7 @@
 #include <random>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "tests/app/program_fixtures.h"
@@ -213,6 +214,49 @@ TEST_F(TableCommands, IsComparedAndExported) {
   }
   EXPECT_THAT(abcal({"export", "c.csv", "--as", "kalibr"}).err,
               HasSubstr("the noise of single readings is not known"));
+}
+
+TEST_F(TableCommands, StatedDirectionsGiveTheMatrix) {
+  std::mt19937_64 engine(3);
+  std::normal_distribution<double> normal(0.0, 1.0);
+  std::ostringstream text;
+  text.precision(12);
+  text << "# pose_uncertainty_deg: 0.06\nup_x,up_y,up_z,ax,ay,az\n";
+  for (int i = 0; i < 30; ++i) {
+    std::array<double, 3> up{normal(engine), normal(engine), normal(engine)}, real{};
+    const double size = std::hypot(up[0], up[1], up[2]);
+    for (std::size_t k = 0; k < 3; ++k) real[k] = up[k] / size + 1e-3 * normal(engine);
+    const double length = std::hypot(real[0], real[1], real[2]);
+    text << up[0] << "," << up[1] << "," << up[2];
+    // Turned by 90 degrees about z in its mount.
+    text << "," << 1.02 * real[1] / length + 0.01 + 1e-4 * normal(engine) << ","
+         << -0.98 * real[0] / length - 0.02 + 1e-4 * normal(engine) << ","
+         << real[2] / length + 1e-4 * normal(engine) << "\n";
+  }
+  test::write_file(folder / "a.csv", text.str());
+  const Json result = json_of({"analyse", "a.csv", "--unit", "g"});
+  EXPECT_EQ(result.at("estimator"), "norm");
+  const Json& matrix = result.at("sensitivity_matrix");
+  EXPECT_NEAR(matrix.at(0).at(1).at("value").get<double>(), 1.02, 3e-3);
+  EXPECT_NEAR(matrix.at(1).at(0).at("value").get<double>(), -0.98, 3e-3);
+  EXPECT_NEAR(matrix.at(0).at(0).at("value").get<double>(), 0.0, 3e-3);
+  EXPECT_THAT(abcal({"analyse", "a.csv", "--full"}).out,
+              AllOf(HasSubstr("s_ux"), HasSubstr("of the directions:")));
+  const ProgramResult reported = abcal({"report", "a.csv", "--unit", "g", "--csv", "b.csv"});
+  EXPECT_EQ(reported.exit_code, 0) << reported.err;
+  const Json again = json_of({"analyse", "b.csv"});
+  for (const char* group : {"sensitivity_matrix", "offset"})
+    EXPECT_EQ(result.at(group), again.at(group)) << group;
+  EXPECT_THAT(test::unwrapped(abcal({"report", "a.csv", "--unit", "g"}).out),
+              HasSubstr("whose directions are stated"));
+  const Json study = json_of({"uncertainty", "a.csv", "--unit", "g", "--trials", "2000"});
+  for (const auto& [group, i, k] : {std::tuple{"sensitivity_matrix", 0, 2}, {"sensitivity_matrix", 1, 0}}) {
+    const Json& interval = study.at("interval").at(group).at(i).at(k);
+    const double stated = study.at("posterior").at("expanded_uncertainty").at(group).at(i).at(k);
+    EXPECT_NEAR((interval.at(1).get<double>() - interval.at(0).get<double>()) / (2.0 * stated), 1.0, 0.1);
+  }
+  test::write_file(folder / "c.csv", "# g_loc.value_mps2: 9.81\n" + text.str());
+  EXPECT_EQ(abcal({"export", "c.csv", "--unit", "g", "--as", "json", "--frame", "platter"}).exit_code, 0);
 }
 
 TEST_F(TableCommands, GetsNoCertificate) {
