@@ -19,8 +19,13 @@ struct TableOptions {
   std::string unit;       ///< Unit of the readings: "g", "m/s2", "LSB".
   std::string time_unit;  ///< "s", "ms", "us" or "ns".
   std::string topic;      ///< The one to be read of a log with several.
+  bool keep = false;      ///< These are to be kept in a file beside the table (table_mapping.h).
+  /// Who states the columns and the unit of time, in messages.
+  std::string columns_by = "--columns", time_unit_by = "--time-unit";
 
-  bool is_empty() const { return columns.empty() && unit.empty() && time_unit.empty() && topic.empty(); }
+  bool is_empty() const {
+    return columns.empty() && unit.empty() && time_unit.empty() && topic.empty() && !keep;
+  }
 };
 
 enum class TableKind {
