@@ -162,7 +162,7 @@ std::string full_command(const std::string& file) {
   return fmt::format("abcal analyse {} --full", file);
 }
 
-/// The command for one item of a run with several.
+/// The command for one item, where the run has several.
 std::string full_command(const AnalysedItem& item, const std::string& file) {
   const bool several = item.stored.header.items.size() > 1;
   return fmt::format("abcal analyse {}{} --full", file,
