@@ -102,17 +102,22 @@ Section results_section(const PilotAnalysis& analysis) {
   }
   schedule.may_break = true;
   Section section{.title = "Results as given", .blocks = {schedule}};
-  for (std::size_t q = 0; q < analysis.protocol.quantities.size(); ++q) {
-    DocumentTable table{fmt::format("{} in {}: value ± standard uncertainty", analysis.protocol.quantities[q],
-                                    analysis.units[q]),
-                        {{"no.", CellKind::kNumber}, {"participant"}, {"value ± u", CellKind::kNumber}},
-                        {},
-                        CellKind::kUnit};
-    const Index at = analysis.protocol.positions()[q];
-    for (const PilotMeasurement& one : analysis.measurements)
-      table.rows.push_back(
-          {std::to_string(one.number), one.participant,
-           with_plus_minus(one.result.values(at), std::sqrt(one.result.covariance(at, at)))});
+  for (const std::vector<Index>& kind : analysis.protocol.kinds()) {
+    DocumentTable table{
+        "Value ± standard uncertainty in " + analysis.units[static_cast<std::size_t>(kind.front())],
+        {{"no.", CellKind::kNumber}, {"participant"}},
+        {},
+        CellKind::kUnit};
+    for (const Index q : kind)
+      table.columns.push_back({analysis.protocol.quantities[static_cast<std::size_t>(q)], CellKind::kNumber});
+    for (const PilotMeasurement& one : analysis.measurements) {
+      table.rows.push_back({std::to_string(one.number), one.participant});
+      for (const Index q : kind) {
+        const Index at = analysis.protocol.positions()[static_cast<std::size_t>(q)];
+        table.rows.back().push_back(
+            with_plus_minus(one.result.values(at), std::sqrt(one.result.covariance(at, at))));
+      }
+    }
     section.blocks.emplace_back(std::move(table));
   }
   return section;
@@ -212,11 +217,7 @@ Figure difference_figure(const PilotAnalysis& analysis, std::size_t quantity) {
   const auto n = static_cast<double>(analysis.participants.size());
   const double u_ref =
       std::sqrt(reference.covariance(static_cast<Index>(quantity), static_cast<Index>(quantity)));
-  PlotSeries band{.name = "reference value, k = 2",
-                  .colour = "#7f7f7f",
-                  .line = true,
-                  .x = {0.5, n + 0.5},
-                  .y = {0.0, 0.0}};
+  PlotSeries band{.name = {}, .colour = "#7f7f7f", .line = true, .x = {0.5, n + 0.5}, .y = {0.0, 0.0}};
   band.half_width = {2.0 * u_ref, 2.0 * u_ref};
   PlotSeries part{
       .name = "D ± U", .colour = "#0072B2", .mark = PlotMark::kDisc, .mark_radius = 3.5, .x = {}, .y = {}};
@@ -236,7 +237,8 @@ Figure difference_figure(const PilotAnalysis& analysis, std::size_t quantity) {
   }
   std::vector<PlotSeries> series{band, part};
   if (!apart.x.empty()) series.push_back(apart);
-  return {fmt::format("Degrees of equivalence of {}.", analysis.protocol.quantities[quantity]),
+  return {fmt::format("Degrees of equivalence of {}; band: reference value, k = 2.",
+                      analysis.protocol.quantities[quantity]),
           plot({{.title = {},
                  .x = {.label = {},
                        .unit = {},
@@ -286,7 +288,7 @@ DocumentTable differences_table(const PilotAnalysis& analysis, std::size_t quant
 }
 
 Section equivalence_section(const PilotAnalysis& analysis) {
-  Section section{.title = "Degrees of equivalence", .blocks = {}, .on_new_page = true};
+  Section section{.title = "Degrees of equivalence", .blocks = {}};
   section.blocks.emplace_back(Paragraph{
       "D is the result minus the reference value, at the mean time of the pilot's measurements. U(D) is its "
       "expanded uncertainty for 95 %, with the covariance of result and reference value and the "
@@ -365,23 +367,19 @@ Section claims_section(const PilotAnalysis& analysis) {
 Section link_section(const PilotAnalysis& analysis) {
   const LinkedDifferences& linked = *analysis.linked;
   DocumentTable table{
-      "D ± U (k = 2) with respect to the reference value of " + analysis.protocol.linked_comparison,
-      {{"participant"}},
+      "D ± U (95 %) with respect to the reference value of " + analysis.protocol.linked_comparison,
+      {{"quantity", CellKind::kSymbol}, {"in", CellKind::kUnit}},
       {}};
   table.dense = true;
-  std::vector<DifferenceScale> scales;
+  for (const std::string& name : analysis.participants) table.columns.push_back({name, CellKind::kNumber});
   for (std::size_t q = 0; q < analysis.units.size(); ++q) {
-    scales.emplace_back(largest_expanded(analysis, q));
-    table.columns.push_back(
-        {fmt::format("{}, {}", analysis.protocol.quantities[q], scales[q].unit(analysis.units[q])),
-         CellKind::kNumber});
-  }
-  for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
-    table.rows.push_back({analysis.participants[i]});
-    for (std::size_t q = 0; q < analysis.units.size(); ++q) {
+    const DifferenceScale scale(largest_expanded(analysis, q));
+    table.rows.push_back({analysis.protocol.quantities[q], scale.unit(analysis.units[q])});
+    for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
       const Index at = place(analysis, i, q);
-      table.rows.back().push_back(scales[q].number(linked.differences(at)) + " ± " +
-                                  scales[q].number(2.0 * std::sqrt(linked.covariance(at, at))));
+      const double expanded =
+          analysis.transferred.results.coverage_factors[i] * std::sqrt(linked.covariance(at, at));
+      table.rows.back().push_back(scale.number(linked.differences(at)) + " ± " + scale.number(expanded));
     }
   }
   return {.title = "Link to an earlier comparison", .blocks = {table}};
