@@ -69,7 +69,7 @@ TEST_F(HaltRecipeTest, StopsUntilTheControllerSaysThatItStands) {
   moving_polls_ = 3;
   const Clock::Instant begin = clock_.now();
   EXPECT_TRUE(carried_out(recipe_of_lines()));
-  EXPECT_EQ(clock_.now() - begin, 3 * 20ms) << "between the rounds";
+  EXPECT_EQ(clock_.now() - begin, 3 * 20ms + 8 * test::kReplyTime) << "between the rounds";
   EXPECT_EQ(line_.count("ST"), 5U) << "one at once, and one in each of four rounds";
   EXPECT_EQ(line_.commands().front(), "!");
 }
@@ -93,7 +93,7 @@ TEST_F(HaltRecipeTest, AReplyIsWaitedForASecond) {
   line_.mishaps["ID?"] = {{.instead = ""}};
   const Clock::Instant begin = clock_.now();
   EXPECT_TRUE(carried_out(recipe_of_lines()));
-  EXPECT_EQ(clock_.now() - begin, 1s + 20ms);
+  EXPECT_EQ(clock_.now() - begin, 1s + 20ms + 2 * test::kReplyTime);
   EXPECT_EQ(line_.count("ID?"), 2U);
 }
 
@@ -111,7 +111,8 @@ TEST_F(HaltRecipeTest, EachOfSeveralDevicesMustSayThatItStands) {
   const Clock::Instant begin = clock_.now();
   EXPECT_TRUE(carried_out(recipe));
   EXPECT_EQ(line_.count("MD?"), 3U);
-  EXPECT_EQ(clock_.now() - begin, 20ms + 20ms + 100ms) << "two rounds at once, and nobody else in the third";
+  EXPECT_EQ(clock_.now() - begin, 20ms + 20ms + 100ms + 6 * test::kReplyTime)
+      << "two rounds at once, and nobody else in the third";
 }
 
 TEST_F(HaltRecipeTest, ALineWithoutAnEndIsPassedOver) {
