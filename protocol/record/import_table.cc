@@ -265,7 +265,7 @@ class PoseImporter {
     }
     if (is_iso_) return {"s", 1.0, "dates"};
     if (!stated.empty()) {
-      if (const auto factor = units_in_a_second(stated)) return {stated, *factor, by};
+      if (const UnitOfTime* unit = unit_of_time(stated)) return {stated, unit->in_a_second, by};
       problems_.add("unit of time", as_quoted(stated), "s, ms, us or ns");
       problems_.fail();
     }

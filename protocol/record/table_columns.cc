@@ -106,7 +106,8 @@ HeaderName parts_of(std::string_view text) {
     text = text.substr(0, open);
   } else if (const std::size_t last = text.find_last_of("_ "); last != std::string_view::npos) {
     const std::string_view end = text.substr(last + 1);
-    if (end.size() > 1 ? units_in_a_second(end) || !unit_named(end).empty() : end == "s" || end == "g") {
+    if (end.size() > 1 ? unit_of_time(end) != nullptr || !unit_named(end).empty()
+                       : end == "s" || end == "g") {
       unit = end;
       text = text.substr(0, last);
     }
@@ -121,9 +122,10 @@ bool is_known_time(std::string_view letters) {
 /// "millis", "timems": the unit is in the name.
 std::string unit_in_name_of_time(std::string_view letters) {
   if (letters == "millis" || letters == "micros") return std::string(letters);
-  for (const std::string_view unit : {"ms", "us", "ns"})
-    if (letters.ends_with(unit) && is_known_time(letters.substr(0, letters.size() - unit.size())))
-      return std::string(unit);
+  for (const UnitOfTime& unit : kUnitsOfTime)
+    if (unit.name.size() > 1 && letters.ends_with(unit.name) &&
+        is_known_time(letters.substr(0, letters.size() - unit.name.size())))
+      return std::string(unit.name);
   return {};
 }
 
@@ -307,7 +309,7 @@ class ColumnFinder {
                       fmt::format("the unit of the other readings, {}", as_quoted(columns_.unit)));
       columns_.unit = unit;
     }
-    if (!columns_.time_unit.empty() && !units_in_a_second(columns_.time_unit))
+    if (!columns_.time_unit.empty() && unit_of_time(columns_.time_unit) == nullptr)
       columns_.time_unit.clear();  // "[UTC]", "[-]"
   }
 
@@ -339,18 +341,6 @@ std::vector<std::string> stated_columns(const TableOptions& options, std::size_t
 }
 
 }  // namespace
-
-std::optional<double> units_in_a_second(std::string_view unit) {
-  const std::string name = pieces::lower(unit);
-  constexpr std::array<std::pair<double, std::array<std::string_view, 4>>, 4> kUnits{
-      {{1.0, {"s", "sec", "secs", "seconds"}},
-       {1e3, {"ms", "msec", "millis", "milliseconds"}},
-       {1e6, {"us", "usec", "micros", "microseconds"}},
-       {1e9, {"ns", "nsec", "nanos", "nanoseconds"}}}};
-  for (const auto& [factor, names] : kUnits)
-    if (std::ranges::find(names, name) != names.end()) return factor;
-  return std::nullopt;
-}
 
 TableColumns find_columns(TableReader& table, const TableOptions& options, TableProblems& problems) {
   TableRow first;

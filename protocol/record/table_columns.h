@@ -46,9 +46,6 @@ struct TableColumns {
   bool has(std::string_view name) const { return place.contains(name); }
 };
 
-/// The units of time that a time series may have, with the number of them in a second.
-std::optional<double> units_in_a_second(std::string_view unit);
-
 /// Finds the columns from the header, from `options.columns`, or from the number of columns. The names of
 /// other programs are known too: time, timestamp; ax, acc_x, "Accel X (m/s^2)", x. Reads the header; the row
 /// that is none is put back.

@@ -265,7 +265,7 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
 
 using Variances9 = Eigen::Matrix<double, 9, 1>;
 
-/// Those of the matrix of a norm fit; NaN: it has none.
+/// Variances of the matrix of a norm fit, row by row; NaN where it has no matrix.
 Variances9 variances_of_matrix(const std::optional<Covariance12>& covariance) {
   if (!covariance) return Variances9::Constant(std::numeric_limits<double>::quiet_NaN());
   return covariance->diagonal().head<9>();

@@ -137,6 +137,15 @@ TEST_F(TableCommands, AMappingIsKeptBesideTheTable) {
   EXPECT_FALSE(std::filesystem::exists(folder / "b.csv.mapping.toml"));
 }
 
+TEST_F(TableCommands, AMappingHasTheShortNameOfAUnitOfTime) {
+  write_poses("a.csv", 1);
+  const ProgramResult kept = abcal({"analyse", "a.csv", "--time-unit", "Milliseconds", "--keep-mapping"});
+  EXPECT_EQ(kept.exit_code, 0) << kept.err;
+  EXPECT_THAT(test::read_file(folder / "a.csv.mapping.toml"), HasSubstr("time_unit = 'ms'\n"));
+  const ProgramResult again = abcal({"analyse", "a.csv"});
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+}
+
 TEST_F(TableCommands, AMappingThatIsWrongIsRefusedWithEveryProblem) {
   write_poses("a.csv", 1);
   test::write_file(folder / "a.csv.mapping.toml",

@@ -145,13 +145,10 @@ int ComparisonChain::add_result(const std::string& participant, const std::strin
     const int here = static_cast<int>(k) + 1;
     if (state.sha256 == sha256 && state.file.empty() && !file.empty()) {
       append({.act = "open",
-              .utc = {},
               .participant = participant,
               .measurement = here,
               .sha256 = sha256,
-              .file = relative(file),
-              .text = {},
-              .link = {}},
+              .file = relative(file)},
              now);
       return here;
     }
@@ -171,13 +168,10 @@ int ComparisonChain::add_result(const std::string& participant, const std::strin
             : "required: --replace REASON, which the report states as a late change"));
   }
   append({.act = "commit",
-          .utc = {},
           .participant = participant,
           .measurement = number,
           .sha256 = sha256,
-          .file = relative(file),
-          .text = {},
-          .link = {}},
+          .file = relative(file)},
          now);
   return number;
 }
@@ -191,14 +185,12 @@ int ComparisonChain::replace_result(const std::string& participant, const std::s
   for (std::size_t k = states_.size(); k-- > 0;) {
     if (protocol_.schedule[k].participant != participant || states_[k].sha256.empty()) continue;
     append({.act = "replace",
-            .utc = {},
             .participant = participant,
             .measurement = static_cast<int>(k) + 1,
             .sha256 = sha256,
             .file = relative(file),
-            .text =
-                fmt::format("{} (when {} of {} results were committed)", reason, committed(), states_.size()),
-            .link = {}},
+            .text = fmt::format("{} (when {} of {} results were committed)", reason, committed(),
+                                states_.size())},
            now);
     return static_cast<int>(k) + 1;
   }
@@ -211,40 +203,22 @@ void ComparisonChain::withdraw(const std::string& participant, const std::string
   for (std::size_t k = 0; k < states_.size(); ++k)
     if (protocol_.schedule[k].participant == participant && states_[k].withdrawn.empty())
       append({.act = "withdraw",
-              .utc = {},
               .participant = participant,
               .measurement = static_cast<int>(k) + 1,
               .sha256 = states_[k].sha256,
               .file = states_[k].file,
-              .text = reason,
-              .link = {}},
+              .text = reason},
              now);
 }
 
 void ComparisonChain::add_statement(const std::string& participant, const std::string& text,
                                     Clock::UtcTime now) {
   require_known(participant);
-  append({.act = "statement",
-          .utc = {},
-          .participant = participant,
-          .measurement = 0,
-          .sha256 = {},
-          .file = {},
-          .text = text,
-          .link = {}},
-         now);
+  append({.act = "statement", .participant = participant, .text = text}, now);
 }
 
 void ComparisonChain::accept_protocol(const std::string& reason, Clock::UtcTime now) {
-  append({.act = "protocol",
-          .utc = {},
-          .participant = {},
-          .measurement = 0,
-          .sha256 = protocol_.sha256,
-          .file = {},
-          .text = reason,
-          .link = {}},
-         now);
+  append({.act = "protocol", .sha256 = protocol_.sha256, .text = reason}, now);
 }
 
 std::vector<std::string> ComparisonChain::changes() const {

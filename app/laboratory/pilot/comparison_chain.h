@@ -15,14 +15,14 @@ struct ChainEntry {
   /// "protocol": it was taken as agreed, or changed; "commit": a result by its SHA-256; "open": the file of a
   /// committed result; "replace": another result in place of a committed one; "withdraw"; "statement" of a
   /// participant.
-  std::string act;
-  std::string utc;
-  std::string participant;  ///< Empty for "protocol".
-  int measurement = 0;      ///< Number in the schedule, from 1; 0 for "protocol" and "statement".
-  std::string sha256;       ///< That of the protocol or result.
-  std::string file;         ///< Relative to the folder of the protocol; empty: only the hash is known.
-  std::string text;         ///< Reason or statement.
-  std::string link;         ///< SHA-256 over the link before and this entry.
+  std::string act{};
+  std::string utc{};
+  std::string participant{};  ///< Empty for "protocol".
+  int measurement = 0;        ///< Number in the schedule, from 1; 0 for "protocol" and "statement".
+  std::string sha256{};       ///< That of the protocol or result.
+  std::string file{};         ///< Relative to the folder of the protocol; empty: only the hash is known.
+  std::string text{};         ///< Reason or statement.
+  std::string link{};         ///< SHA-256 over the link before and this entry.
 };
 
 /// A result that is not in its place, or a chain that was changed: usage, with what to do.

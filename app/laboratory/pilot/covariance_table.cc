@@ -4,12 +4,12 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <fstream>
 #include <limits>
 
 #include "app/system/read_file.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "protocol/plan/response_unit.h"
 #include "protocol/record/sha256.h"
@@ -78,11 +78,9 @@ class TableOfCovariance {
 
   double number(std::string_view cell) {
     const std::string_view digits = pieces::trimmed(cell);
-    double value = std::numeric_limits<double>::quiet_NaN();
-    const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
-    if (error != std::errc() || end != digits.data() + digits.size() || !std::isfinite(value))
-      problem(fmt::format("\"{}\" is no number", digits));
-    return value;
+    if (const auto value = pieces::number<double>(digits); value && std::isfinite(*value)) return *value;
+    problem(fmt::format("\"{}\" is no number", digits));
+    return std::numeric_limits<double>::quiet_NaN();
   }
 
   void require_symmetry() {

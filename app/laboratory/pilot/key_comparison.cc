@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "app/laboratory/compare/random_effects.h"
 #include "protocol/linear/products.h"
 #include "protocol/statistics/distributions.h"
 #include "protocol/uncertainty/coverage.h"
@@ -175,27 +176,16 @@ void take_subset_per_quantity(const ParticipantResults& results, double level, R
   take_mean(results, reference);
 }
 
-/// The variance of the participants' own effects on quantities of one kind; chi2 falls steadily with it.
+/// The variance of the participants' own effects on quantities of one kind.
 double own_variance(const ParticipantResults& group) {
   const MatrixXi all = everything(group);
-  const auto excess = [&](double variance) {
+  const auto chi2 = [&](double variance) {
     MatrixXd covariance = group.covariance;
     covariance.diagonal().array() += variance;
-    const GeneralisedMean mean = generalised_mean(group, covariance, all);
-    return mean.chi2 - static_cast<double>(mean.degrees_of_freedom);
+    return generalised_mean(group, covariance, all).chi2;
   };
-  if (excess(0.0) <= 0.0) return 0.0;
-  double low = 0.0, high = group.covariance.diagonal().maxCoeff();
-  while (excess(high) > 0.0) {
-    low = high;
-    high *= 4.0;
-  }
-  constexpr int kHalvings = 100;
-  for (int k = 0; k < kHalvings && high - low > 1e-12 * high; ++k) {
-    const double middle = 0.5 * (low + high);
-    (excess(middle) > 0.0 ? low : high) = middle;
-  }
-  return high;
+  return between_variance(chi2, static_cast<double>(group.values.size() - group.quantities),
+                          group.covariance.diagonal().maxCoeff());
 }
 
 void take_random_effects(const ParticipantResults& results, const ReferenceOptions& options,

@@ -13,6 +13,7 @@
 #include "app/formats/toml_reader.h"
 #include "app/formats/toml_writer.h"
 #include "app/system/output_file.h"
+#include "protocol/record/table_time.h"
 
 namespace abcal {
 namespace {
@@ -28,7 +29,9 @@ constexpr std::array<std::pair<std::string_view, std::string TableOptions::*>, 4
 
 std::vector<std::string> choices_of(std::string_view key) {
   if (key != "time_unit") return {};
-  return {"s", "ms", "us", "ns"};
+  std::vector<std::string> names;
+  for (const UnitOfTime& unit : kUnitsOfTime) names.emplace_back(unit.name);
+  return names;
 }
 
 TableOptions read_mapping(const std::filesystem::path& path) {
@@ -88,6 +91,8 @@ void keep_mapping(const std::filesystem::path& table, TableOptions options) {
   std::string schema = kSchema;
   writer.text("schema", schema);
   bool states = false;
+  // By the name that a mapping has for it: "ms" of "millis".
+  if (const UnitOfTime* unit = unit_of_time(options.time_unit)) options.time_unit = unit->name;
   for (const auto& [key, statement] : kStatements) {
     if ((options.*statement).empty()) continue;
     states = true;

@@ -280,7 +280,7 @@ struct NormEffectShare {
   std::string key;     ///< Key of its size in the bench file.
   Eigen::Matrix<double, 9, 1> variance =
       Eigen::Matrix<double, 9, 1>::Zero();  ///< Squares of R/g_loc, degree, R.
-  /// Those of the matrix, row by row; NaN where the result has none.
+  /// Variances that it adds to the matrix, row by row; NaN where the result has no matrix.
   Eigen::Matrix<double, 9, 1> of_matrix =
       Eigen::Matrix<double, 9, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
 };
