@@ -30,6 +30,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_uncertainty(app, exit_code, one_process());
   add_report(app, exit_code);
   add_compare(app, exit_code);
+  add_pilot(app, exit_code);
   add_export(app, exit_code);
   add_apply(app, exit_code);
   add_verify(app, exit_code);

@@ -60,6 +60,11 @@ std::string stated_serial_number_label(const std::string& role) {
   return role + ".stated_serial_number";
 }
 
+std::string stated_serial_number_words(const std::string& serial_number) {
+  return fmt::format("; serial number {} stated by the bench file, not reported by the instrument",
+                     serial_number);
+}
+
 bool has_simulated_accelerometer(const BenchConfig& config) {
   return std::ranges::any_of(config.items, [](const BenchItemConfig& item) {
     return item.left_out.empty() && item.accelerometer.port == kSimulated;

@@ -23,6 +23,8 @@ bool is_emulated_serial_number(std::string_view number, const std::string& drive
 /// The label of a run with the serial number that the bench file states for an instrument ("stage",
 /// "accelerometer", "item-2") that reports none.
 std::string stated_serial_number_label(const std::string& role);
+/// The words with which the details of such an instrument end in a run.
+std::string stated_serial_number_words(const std::string& serial_number);
 
 /// Whether the port of at least one accelerometer that is to be opened is "simulated".
 bool has_simulated_accelerometer(const BenchConfig& config);

@@ -70,8 +70,9 @@ struct AnalyseOptions {
 /// The text of a result: of one item, or of a run.
 template <class Analysed>
 std::string text_of(const Analysed& analysed, const AnalyseOptions& options) {
-  return options.form == ResultForm::kFull ? full_text(analysed, options.file, stdout)
-                                           : summary_text(analysed, options.file, stdout);
+  const std::string file = with_table_options(options.file, options.table);
+  return options.form == ResultForm::kFull ? full_text(analysed, file, stdout)
+                                           : summary_text(analysed, file, stdout);
 }
 
 /// Lets the items use the record that was given. It is not part of the run and could not be used again to

@@ -17,7 +17,7 @@ struct CommandHelp {
 constexpr std::string_view kMeasure = "Measure", kEvaluate = "Evaluate", kCertify = "Certify",
                            kPrepare = "Prepare a bench", kWithoutBench = "Without a bench";
 
-constexpr std::array<CommandHelp, 30> kHelp{{
+constexpr std::array<CommandHelp, 31> kHelp{{
     {"init", kPrepare, "abcal init\nabcal init --stage emulated"},
     {"instruments", kPrepare, "abcal instruments --probe"},
     {"plan", kPrepare, "abcal plan bench.toml\nabcal plan bench.toml --reach 'phi=1e-3 deg, s=2e-5'"},
@@ -38,6 +38,8 @@ constexpr std::array<CommandHelp, 30> kHelp{{
     {"uncertainty", kEvaluate, "abcal uncertainty sn1234.run --trials 100000"},
     {"report", kEvaluate, "abcal report sn1234.run --pdf sn1234.pdf"},
     {"compare", kEvaluate, "abcal compare before.run after.run"},
+    {"pilot", kEvaluate,
+     "abcal pilot init comparison.toml\nabcal pilot add comparison.toml lab2.xml --participant LAB2"},
     {"export", kEvaluate, "abcal export sn1234.run --as px4"},
     {"apply", kEvaluate, "abcal apply sn1234.run --to bench.toml"},
     {"verify", kCertify, "abcal verify sn1234.run"},

@@ -28,6 +28,7 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code);
 CLI::App* add_demo(CLI::App& parent, int& exit_code);
 CLI::App* add_docs(CLI::App& parent, int& exit_code);
 CLI::App* add_compare(CLI::App& parent, int& exit_code);
+CLI::App* add_pilot(CLI::App& parent, int& exit_code);
 CLI::App* add_stage(CLI::App& parent, int& exit_code);
 CLI::App* add_mountings(CLI::App& parent, int& exit_code);
 CLI::App* add_gravity(CLI::App& parent, int& exit_code);

@@ -92,7 +92,7 @@ void export_constants(const ExportCommand& command) {
   const Exported done = exported(command, format);
   if (done.verdict != "usable")
     print_warning(fmt::format("the result is {}: look at it with `abcal analyse {}` first", done.verdict,
-                              command.files.front()));
+                              with_table_options(command.files.front(), command.table)));
   if (!done.left_out.empty()) print_warning(done.left_out);
   if (command.output.empty()) {
     print_result("{}", done.text);

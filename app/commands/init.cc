@@ -258,12 +258,6 @@ void print_costs(const BenchConfig& config, const Turned& turned) {
                        "  -> ", "     ", kTerminalColumns));
 }
 
-/// A word of a command as a person would type it.
-std::string typed_word(const std::string& text) {
-  constexpr std::string_view kPlain = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_./:+-";
-  return text.find_first_not_of(kPlain) == std::string::npos && !text.empty() ? text : shell_word(text);
-}
-
 /// The command that gives the same answers, except the confirmation of the motion.
 std::string same_answers(const InitCommand& command) {
   std::string words = "abcal init";

@@ -140,10 +140,13 @@ class PoseImporter {
         problems_.fail();
       }
       const Eigen::Vector3d reading = cells.readings();
+      const std::optional<Eigen::Vector3d> up = cells.up();
       if (are_averages_) {
         add_average(cells, reading);
+        out_.record.dwells.back().up = up;
       } else if (reading.allFinite() && (columns_.kind != TableKind::kTimeSeries || take_time(cells))) {
         readings_.push_back(reading);
+        if (up) ups_.push_back(*up);
         lines_.push_back(cells.line());
       }
     }
@@ -176,6 +179,16 @@ class PoseImporter {
     return true;
   }
 
+  /// A pose of the rows first .. last - 1.
+  DwellRecord& add_pose(std::size_t first, std::size_t last) {
+    DwellRecord& dwell = add_dwell(lines_[first], lines_[last - 1]);
+    if (ups_.empty()) return dwell;
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    for (std::size_t i = first; i < last; ++i) sum += ups_[i];
+    dwell.up = last == first + 1 ? ups_[first] : sum.normalized();
+    return dwell;
+  }
+
   DwellRecord& add_dwell(std::size_t first_line, std::size_t last_line) {
     std::vector<DwellRecord>& dwells = out_.record.dwells;
     DwellRecord& dwell = dwells.emplace_back();
@@ -198,7 +211,7 @@ class PoseImporter {
       for (const StaticStretch& stretch : found) at_rest += stretch.count;
       if (found.size() < kLeastStretches || 3 * at_rest < readings_.size()) continue;
       for (const StaticStretch& stretch : found) {
-        DwellRecord& dwell = add_dwell(lines_[stretch.first], lines_[stretch.last - 1]);
+        DwellRecord& dwell = add_pose(stretch.first, stretch.last);
         dwell.mean = stretch.mean;
         dwell.spread = stretch.spread;
         dwell.count = static_cast<std::int64_t>(stretch.count);
@@ -228,7 +241,7 @@ class PoseImporter {
       problems_.fail();
     }
     for (const Group& group : groups) {
-      DwellRecord& dwell = add_dwell(lines_[group.first], lines_[group.last - 1]);
+      DwellRecord& dwell = add_pose(group.first, group.last);
       dwell.mean = group.mean;
       dwell.spread = group.spread;
       dwell.count = static_cast<std::int64_t>(group.last - group.first);
@@ -240,7 +253,7 @@ class PoseImporter {
 
   /// The unit of the times: stated, or from their spacing.
   TimeUnit time_unit() {
-    std::string stated = options_.time_unit, by = "--time-unit";
+    std::string stated = options_.time_unit, by = options_.time_unit_by;
     for (const TableComment& comment : table_.comments())
       if (comment.key == "time_unit" && stated.empty()) {
         stated = comment.value;
@@ -252,7 +265,7 @@ class PoseImporter {
     }
     if (is_iso_) return {"s", 1.0, "dates"};
     if (!stated.empty()) {
-      if (const auto factor = units_in_a_second(stated)) return {stated, *factor, by};
+      if (const UnitOfTime* unit = unit_of_time(stated)) return {stated, unit->in_a_second, by};
       problems_.add("unit of time", as_quoted(stated), "s, ms, us or ns");
       problems_.fail();
     }
@@ -292,7 +305,7 @@ class PoseImporter {
                                 series.time_s.back() - series.time_s.front()),
                     fmt::format("rest at each pose, {}", kRowsArePoses));
     for (const StaticStretch& stretch : out_.stretches) {
-      DwellRecord& dwell = add_dwell(lines_[stretch.first], lines_[stretch.last - 1]);
+      DwellRecord& dwell = add_pose(stretch.first, stretch.last);
       dwell.mean = stretch.mean;
       dwell.spread = stretch.spread;
       dwell.count = static_cast<std::int64_t>(stretch.count);
@@ -313,7 +326,7 @@ class PoseImporter {
   const TableOptions& options_;
   const StaticSearch& search_;
   ImportedTable out_;
-  std::vector<Eigen::Vector3d> readings_;
+  std::vector<Eigen::Vector3d> readings_, ups_;
   std::vector<double> times_;
   std::vector<std::size_t> lines_;
   std::size_t left_out_ = 0, first_left_out_ = 0;
@@ -334,6 +347,11 @@ std::vector<std::string> words_of(const ImportedTable& imported, const TableColu
       table.separator_words(), table.has_decimal_commas() ? ", decimal commas" : "")};
   if (table.first_line() > 1)
     words.front() += fmt::format("; the table begins on line {}", table.first_line());
+  if (states_directions(imported.record))
+    words.front() +=
+        imported.record.u_up
+            ? fmt::format("; directions of the poses, each to {:g} degree", imported.record.u_up->deg())
+            : "; directions of the poses (# pose_uncertainty_deg states how well)";
   if (!poses.empty()) words.push_back(std::move(poses));
   constexpr std::size_t kMostNames = 8;
   const std::vector<std::string>& names = columns.ignored;

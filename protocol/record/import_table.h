@@ -33,6 +33,10 @@ struct ImportedTable {
 /// and most rows differ from the row before far less than the others do, neighbouring rows of one direction
 /// are one pose.
 ///
+/// Poses of known directions have the columns up_x..z (upwards in the axes of the mount), pose_roll_deg and
+/// pose_pitch_deg (R = Rz Ry Rx, z upwards), or pose_qw..z (from the mount to axes with z upwards), and the
+/// comment `pose_uncertainty_deg`.
+///
 /// A time series: a column of time, and three of readings. Its poses are the stretches at rest. Rows whose
 /// time does not come after that of the row before are left out.
 ///

@@ -45,6 +45,11 @@ bool has_angles(const RunRecord& record) {
   return std::ranges::any_of(record.dwells, [](const DwellRecord& dwell) { return dwell.experiment > 0; });
 }
 
+bool states_directions(const RunRecord& record) {
+  return !record.dwells.empty() &&
+         std::ranges::all_of(record.dwells, [](const DwellRecord& dwell) { return dwell.up.has_value(); });
+}
+
 bool backlash_is_left(const RunRecord& record) {
   if (!record.approach || *record.approach > Angle{}) return false;
   std::vector<std::array<Angle, 2>> poses;

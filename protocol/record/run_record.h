@@ -82,6 +82,8 @@ struct DwellRecord {
   std::uint32_t flags = kFlagNone;
   int face = 1;                       ///< 1 or 2 (protocol/plan/faces.h).
   std::optional<DwellMotion> motion;  ///< Absent: at rest.
+  /// Direction upwards at this pose in the axes of the item's mount, of length 1, as a table states it.
+  std::optional<Eigen::Vector3d> up;
   std::size_t first_line = 0,
               last_line = 0;  ///< Lines of a table without angles, from 1; 0: of no such table.
 };
@@ -137,6 +139,7 @@ struct RunRecord {
   Tolerances tolerances;
   LimitsConfig limits;
   ExpectedItem expected;
+  std::optional<Angle> u_up;             ///< Standard uncertainty of each `up` about either axis across it.
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
   StageRecordInUse stage_record;         ///< Prior of the stage for the joint estimator, in place of sizes.
   /// Name of the estimator whose result is the result of the run, chosen before the first angle ("joint").
@@ -161,6 +164,9 @@ struct RunRecord {
 
 /// Whether the dwells are at angles of experiments; false: of poses whose angles are not known.
 bool has_angles(const RunRecord& record);
+
+/// Whether a table states the directions of all its poses.
+bool states_directions(const RunRecord& record);
 
 /// Whether the backlash of the axes is part of the readings: the run states that angles were not approached
 /// from below, and an axis turned both ways.

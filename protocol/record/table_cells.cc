@@ -6,6 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "drivers/instrument/angle.h"
+
 namespace abcal {
 namespace {
 
@@ -47,6 +49,35 @@ Eigen::Vector3d TableCells::readings() {
     out(static_cast<Eigen::Index>(j)) =
         number(kReadingCells[j]).value_or(std::numeric_limits<double>::quiet_NaN());
   return out;
+}
+
+std::optional<Eigen::Vector3d> TableCells::up() {
+  Eigen::Vector3d up;
+  if (columns_.has("up_x")) {
+    const auto x = number("up_x"), y = number("up_y"), z = number("up_z");
+    if (!x || !y || !z) return std::nullopt;
+    up << *x, *y, *z;
+    constexpr double kRoundOff = 1e-14;  // Directions that this program wrote stay as they are.
+    const double length = up.norm();
+    if (std::abs(length - 1.0) < kRoundOff) return up;
+    if (length > 0.0 && std::isfinite(length)) return up / length;
+    problem("up_x", "a direction of no length", "up_x, up_y, up_z of any length above 0");
+  } else if (columns_.has("pose_roll_deg")) {
+    const auto roll = number("pose_roll_deg", "an angle in degrees"),
+               pitch = number("pose_pitch_deg", "an angle in degrees");
+    if (!roll || !pitch) return std::nullopt;
+    const SinCos r = sincos(Angle::degrees(*roll)), p = sincos(Angle::degrees(*pitch));
+    return Eigen::Vector3d(-p.sin, r.sin * p.cos, r.cos * p.cos);
+  } else if (columns_.has("pose_qw")) {
+    constexpr double kFarFromUnit = 0.01;
+    const auto w = number("pose_qw"), x = number("pose_qx"), y = number("pose_qy"), z = number("pose_qz");
+    if (!w || !x || !y || !z) return std::nullopt;
+    const double length2 = *w * *w + *x * *x + *y * *y + *z * *z;
+    up << *x * *z - *w * *y, *y * *z + *w * *x, 0.5 * (*w * *w - *x * *x - *y * *y + *z * *z);
+    if (std::abs(std::sqrt(length2) - 1.0) < kFarFromUnit) return 2.0 / length2 * up;
+    problem("pose_qw", fmt::format("a quaternion of the length {:.3g}", std::sqrt(length2)), "the length 1");
+  }
+  return std::nullopt;
 }
 
 std::optional<Eigen::Vector3d> TableCells::uncertainties() {

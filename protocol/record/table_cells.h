@@ -36,6 +36,9 @@ class TableCells {
                                            const char* required);
   /// r_u, r_v, r_w; NaN where they have no value.
   Eigen::Vector3d readings();
+  /// Upwards in the axes of the mount, of length 1, from up_x..z, pose_roll_deg and pose_pitch_deg, or
+  /// pose_qw..z; absent where the table has none of them, or with a problem.
+  std::optional<Eigen::Vector3d> up();
   /// u_u, u_v, u_w: all three or none.
   std::optional<Eigen::Vector3d> uncertainties();
 

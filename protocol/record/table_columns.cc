@@ -16,10 +16,27 @@
 namespace abcal {
 namespace {
 
-constexpr std::array<std::string_view, 21> kOwn{
-    "experiment", "n",    "alpha_deg",     "r_u",           "r_v",      "r_w",      "u_u",
-    "u_v",        "u_w",  "time_s",        "count",         "flags",    "closing",  "temperature_degc",
-    "face",       "item", "encoder_x_deg", "encoder_z_deg", "spread_u", "spread_v", "spread_w"};
+constexpr std::array<std::string_view, 31> kOwn{"experiment",    "n",
+                                                "alpha_deg",     "r_u",
+                                                "r_v",           "r_w",
+                                                "u_u",           "u_v",
+                                                "u_w",           "time_s",
+                                                "count",         "flags",
+                                                "closing",       "temperature_degc",
+                                                "face",          "item",
+                                                "encoder_x_deg", "encoder_z_deg",
+                                                "spread_u",      "spread_v",
+                                                "spread_w",      "up_x",
+                                                "up_y",          "up_z",
+                                                "pose_roll_deg", "pose_pitch_deg",
+                                                "pose_yaw_deg",  "pose_qw",
+                                                "pose_qx",       "pose_qy",
+                                                "pose_qz"};
+/// The ways to state the directions of poses; yaw turns about the vertical and need not be there.
+constexpr std::array<std::array<std::string_view, 4>, 3> kDirections{
+    {{"up_x", "up_y", "up_z", ""},
+     {"pose_roll_deg", "pose_pitch_deg", "", ""},
+     {"pose_qw", "pose_qx", "pose_qy", "pose_qz"}}};
 constexpr std::array<std::string_view, 3> kReadingNames{"r_u", "r_v", "r_w"};
 /// Names of a time, without its unit, and of an acceleration, without its axis; letters and digits alone.
 constexpr std::string_view kTimes[] = {
@@ -89,7 +106,8 @@ HeaderName parts_of(std::string_view text) {
     text = text.substr(0, open);
   } else if (const std::size_t last = text.find_last_of("_ "); last != std::string_view::npos) {
     const std::string_view end = text.substr(last + 1);
-    if (end.size() > 1 ? units_in_a_second(end) || !unit_named(end).empty() : end == "s" || end == "g") {
+    if (end.size() > 1 ? unit_of_time(end) != nullptr || !unit_named(end).empty()
+                       : end == "s" || end == "g") {
       unit = end;
       text = text.substr(0, last);
     }
@@ -104,9 +122,10 @@ bool is_known_time(std::string_view letters) {
 /// "millis", "timems": the unit is in the name.
 std::string unit_in_name_of_time(std::string_view letters) {
   if (letters == "millis" || letters == "micros") return std::string(letters);
-  for (const std::string_view unit : {"ms", "us", "ns"})
-    if (letters.ends_with(unit) && is_known_time(letters.substr(0, letters.size() - unit.size())))
-      return std::string(unit);
+  for (const UnitOfTime& unit : kUnitsOfTime)
+    if (unit.name.size() > 1 && letters.ends_with(unit.name) &&
+        is_known_time(letters.substr(0, letters.size() - unit.name.size())))
+      return std::string(unit.name);
   return {};
 }
 
@@ -191,6 +210,7 @@ class ColumnFinder {
     const auto has = [&](const char* name) { return columns_.has(name); };
     if (has("u_u") || has("u_v") || has("u_w"))
       for (const char* name : {"u_u", "u_v", "u_w"}) require(name);
+    require_direction();
     if (problems_.count() > 0) problems_.fail();
     take_units();
     name_ignored();
@@ -219,6 +239,22 @@ class ColumnFinder {
                       ? fmt::format("a column {}", name)
                       : kWhatIsRead);
     if (!has_some_reading() && columns_.kind != TableKind::kCircles) problems_.fail();
+  }
+
+  /// The columns of one way to state directions, all or none.
+  void require_direction() {
+    std::vector<std::string_view> ways;
+    for (const auto& names : kDirections) {
+      const auto is_there = [&](std::string_view name) { return columns_.has(name); };
+      if (std::ranges::none_of(names, is_there)) continue;
+      ways.push_back(names.front());
+      for (const std::string_view name : names)
+        if (!name.empty()) require(name);
+    }
+    if (ways.size() > 1)
+      problems_.add(where_, fmt::format("directions by {}", fmt::join(ways, " and by ")), "one of them");
+    if (!ways.empty() && columns_.kind == TableKind::kCircles)
+      problems_.add(where_, fmt::format("{} in addition to alpha_deg", ways.front()), "one of them");
   }
 
   void take_own() {
@@ -273,7 +309,7 @@ class ColumnFinder {
                       fmt::format("the unit of the other readings, {}", as_quoted(columns_.unit)));
       columns_.unit = unit;
     }
-    if (!columns_.time_unit.empty() && !units_in_a_second(columns_.time_unit))
+    if (!columns_.time_unit.empty() && unit_of_time(columns_.time_unit) == nullptr)
       columns_.time_unit.clear();  // "[UTC]", "[-]"
   }
 
@@ -292,30 +328,19 @@ class ColumnFinder {
 };
 
 /// A name for each of `width` columns from `--columns`.
-std::vector<std::string> stated_columns(const std::string& stated, std::size_t width,
+std::vector<std::string> stated_columns(const TableOptions& options, std::size_t width,
                                         TableProblems& problems) {
   std::vector<std::string> names;
-  for (const std::string_view name : pieces::split(stated, ',')) names.emplace_back(pieces::trimmed(name));
+  for (const std::string_view name : pieces::split(options.columns, ','))
+    names.emplace_back(pieces::trimmed(name));
   if (names.size() > width)
-    problems.add("--columns", fmt::format("{} names", names.size()),
+    problems.add(options.columns_by, fmt::format("{} names", names.size()),
                  fmt::format("at most {}, as many as the first row has columns", width));
   names.resize(width);
   return names;
 }
 
 }  // namespace
-
-std::optional<double> units_in_a_second(std::string_view unit) {
-  const std::string name = pieces::lower(unit);
-  constexpr std::array<std::pair<double, std::array<std::string_view, 4>>, 4> kUnits{
-      {{1.0, {"s", "sec", "secs", "seconds"}},
-       {1e3, {"ms", "msec", "millis", "milliseconds"}},
-       {1e6, {"us", "usec", "micros", "microseconds"}},
-       {1e9, {"ns", "nsec", "nanos", "nanoseconds"}}}};
-  for (const auto& [factor, names] : kUnits)
-    if (std::ranges::find(names, name) != names.end()) return factor;
-  return std::nullopt;
-}
 
 TableColumns find_columns(TableReader& table, const TableOptions& options, TableProblems& problems) {
   TableRow first;
@@ -328,7 +353,7 @@ TableColumns find_columns(TableReader& table, const TableOptions& options, Table
   });
   const std::size_t width = first.cells.size();
   const std::string where =
-      options.columns.empty() ? fmt::format("line {}, header", first.line) : "--columns";
+      options.columns.empty() ? fmt::format("line {}, header", first.line) : options.columns_by;
   std::vector<std::string> names = first.cells, units;
   if (!has_header) {
     names = table.commented_header();
@@ -350,7 +375,7 @@ TableColumns find_columns(TableReader& table, const TableOptions& options, Table
       }
     }
   }
-  if (!options.columns.empty()) names = stated_columns(options.columns, width, problems);
+  if (!options.columns.empty()) names = stated_columns(options, width, problems);
   if (names.empty() && width == 3) names = {"r_u", "r_v", "r_w"};
   if (names.empty() && width == 4) names = {"t", "r_u", "r_v", "r_w"};
   if (names.empty()) {

@@ -19,8 +19,13 @@ struct TableOptions {
   std::string unit;       ///< Unit of the readings: "g", "m/s2", "LSB".
   std::string time_unit;  ///< "s", "ms", "us" or "ns".
   std::string topic;      ///< The one to be read of a log with several.
+  bool keep = false;      ///< These are to be kept in a file beside the table (table_mapping.h).
+  /// Who states the columns and the unit of time, in messages.
+  std::string columns_by = "--columns", time_unit_by = "--time-unit";
 
-  bool is_empty() const { return columns.empty() && unit.empty() && time_unit.empty() && topic.empty(); }
+  bool is_empty() const {
+    return columns.empty() && unit.empty() && time_unit.empty() && topic.empty() && !keep;
+  }
 };
 
 enum class TableKind {
@@ -40,9 +45,6 @@ struct TableColumns {
 
   bool has(std::string_view name) const { return place.contains(name); }
 };
-
-/// The units of time that a time series may have, with the number of them in a second.
-std::optional<double> units_in_a_second(std::string_view unit);
 
 /// Finds the columns from the header, from `options.columns`, or from the number of columns. The names of
 /// other programs are known too: time, timestamp; ax, acc_x, "Accel X (m/s^2)", x. Reads the header; the row

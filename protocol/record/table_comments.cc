@@ -50,6 +50,7 @@ class CommentReader {
     if (const auto deg = number("protocol.approach_deg", 0.0, 45.0)) record.approach = Angle::degrees(*deg);
     record.continuations = static_cast<int>(number("continuations", 0.0, 1e6).value_or(0.0));
     read_alignment(record.measured_alignment);
+    if (const auto u = number("pose_uncertainty_deg", 1e-9, 10.0)) record.u_up = Angle::degrees(*u);
     if (const auto g = number("g_loc.value_mps2", 9.0, 10.5)) {
       record.g_loc_known = true;
       record.g_loc.value_mps2 = *g;

@@ -12,15 +12,14 @@
 #include "drivers/text/text.h"
 
 namespace abcal {
-namespace {
 
-struct Unit {
-  const char* name;
-  double in_a_second;
-};
-constexpr std::array<Unit, 4> kUnits{{{"s", 1.0}, {"ms", 1e3}, {"us", 1e6}, {"ns", 1e9}}};
-
-}  // namespace
+const UnitOfTime* unit_of_time(std::string_view name) {
+  const std::string letters = pieces::lower(name);
+  const auto found = std::ranges::find_if(kUnitsOfTime, [&](const UnitOfTime& unit) {
+    return unit.name == letters || std::ranges::count(unit.other_names, letters) > 0;
+  });
+  return found == kUnitsOfTime.end() ? nullptr : &*found;
+}
 
 std::optional<double> seconds_of_iso(const std::string& text) {
   // Days of dates differ by their numbers alone, in whichever order day and month stand.
@@ -65,20 +64,20 @@ double median_spacing(const std::vector<double>& times) {
 std::optional<TimeUnit> unit_from_spacing(const std::vector<double>& times) {
   const double spacing = median_spacing(times);
   const auto units_with_rate = [&](double least, double most) {
-    std::vector<Unit> found;
-    for (const Unit& unit : kUnits)
+    std::vector<UnitOfTime> found;
+    for (const UnitOfTime& unit : kUnitsOfTime)
       if (const double rate = unit.in_a_second / spacing; rate >= least && rate <= most)
         found.push_back(unit);
     return found;
   };
   // The years 1973 to 2286.
-  for (const Unit& unit : units_with_rate(0.2, 50'000.0))
+  for (const UnitOfTime& unit : units_with_rate(0.2, 50'000.0))
     if (times.front() > 1e8 * unit.in_a_second && times.front() < 1e10 * unit.in_a_second)
-      return TimeUnit{unit.name, unit.in_a_second, "since 1970"};
-  std::vector<Unit> found = units_with_rate(5.0, 500.0);
+      return TimeUnit{std::string(unit.name), unit.in_a_second, "since 1970"};
+  std::vector<UnitOfTime> found = units_with_rate(5.0, 500.0);
   if (found.size() != 1) found = units_with_rate(0.2, 50'000.0);
   if (found.size() != 1) return std::nullopt;
-  return TimeUnit{found.front().name, found.front().in_a_second,
+  return TimeUnit{std::string(found.front().name), found.front().in_a_second,
                   fmt::format("from the spacing of {:.3g}", spacing)};
 }
 

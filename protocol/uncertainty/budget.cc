@@ -263,9 +263,18 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   return budget;
 }
 
-/// From variances of s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v, O_w.
-OutputVector norm_contributions(const Eigen::Matrix<double, 9, 1>& variance) {
-  OutputVector out = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
+using Variances9 = Eigen::Matrix<double, 9, 1>;
+
+/// Variances of the matrix of a norm fit, row by row; NaN where it has no matrix.
+Variances9 variances_of_matrix(const std::optional<Covariance12>& covariance) {
+  if (!covariance) return Variances9::Constant(std::numeric_limits<double>::quiet_NaN());
+  return covariance->diagonal().head<9>();
+}
+
+/// From variances of s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v, O_w, and of the matrix row by row.
+OutputVector norm_contributions(const Variances9& variance, const Variances9& of_matrix) {
+  OutputVector out;
+  out.head<9>() = of_matrix.unaryExpr([](double v) { return v < 0.0 ? 0.0 : std::sqrt(v); });
   const Eigen::Matrix<double, 9, 1> u = variance.cwiseMax(0.0).cwiseSqrt();
   out.segment<3>(kFirstIntrinsicSensitivity) = u.head<3>();
   out.segment<3>(kFirstIntrinsicAngle) = u.segment<3>(3);
@@ -276,31 +285,40 @@ OutputVector norm_contributions(const Eigen::Matrix<double, 9, 1>& variance) {
 /// The budget of a norm fit: the stated sizes of each effect, the voltmeter, and the poses.
 Budget norm_budget(const RunRecord& record, const CalibrationResult& result) {
   Budget budget;
-  Eigen::Matrix<double, 9, 1> voltmeter =
-      (*result.covariance_intrinsic - *result.covariance_intrinsic_type_a).diagonal();
-  const auto add = [&](Message input, std::string_view key, double size,
-                       const Eigen::Matrix<double, 9, 1>& variance) {
+  Variances9 voltmeter = (*result.covariance_intrinsic - *result.covariance_intrinsic_type_a).diagonal();
+  Variances9 of_matrix =
+      variances_of_matrix(result.covariance) - variances_of_matrix(result.covariance_type_a);
+  const auto add = [&](Message input, std::string_view key, double size, const Variances9& variance,
+                       const Variances9& variance_of_matrix) {
     BudgetLine line;
     line.input = std::move(input);
     line.value = "estimated";
     line.unit = key.ends_with("_deg") ? "degree" : "of S";
     describe_size(record.tolerances, key, line);
     line.standard_uncertainty = size;
-    line.contribution = norm_contributions(variance);
+    line.contribution = norm_contributions(variance, variance_of_matrix);
     line.sensitivity = line.contribution / size;
     budget.lines.push_back(std::move(line));
   };
   for (const NormEffectShare& share : result.norm->shares) {
     voltmeter -= share.variance;
+    of_matrix -= share.of_matrix;
+    if (share.key == kPoseUncertaintyKey) {
+      add(Message("stated directions of the poses"), share.key, record.u_up->deg(), share.variance,
+          share.of_matrix);
+      budget.lines.back().source = "stated";
+    }
     for (const EffectSizeKey& size : effect_size_keys())
       if (size.key == share.key)
         add(share.key == "orthogonality_deg" ? Message(size.words) : effect_words(share.effect), share.key,
-            size.get(record.tolerances), share.variance);
+            size.get(record.tolerances), share.variance, share.of_matrix);
   }
   const double size = std::hypot(record.tolerances.voltmeter_gain, record.tolerances.voltmeter_offset);
-  if (size > 0.0) add(Message("gain and offset of the voltmeter"), "voltmeter_gain", size, voltmeter);
+  if (size > 0.0)
+    add(Message("gain and offset of the voltmeter"), "voltmeter_gain", size, voltmeter, of_matrix);
   budget.lines.push_back(readings_line(Message("readings of the poses"), record, result,
-                                       norm_contributions(result.covariance_intrinsic_type_a->diagonal())));
+                                       norm_contributions(result.covariance_intrinsic_type_a->diagonal(),
+                                                          variances_of_matrix(result.covariance_type_a))));
   add_gravity_to(record, result, budget);
   combine(record, budget);
   budget.not_covered = sources_without_a_line(record, false);

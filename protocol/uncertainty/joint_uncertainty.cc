@@ -149,13 +149,14 @@ RunUncertainty norm_uncertainty(const RunRecord& record, const UncertaintyOption
   study.seed = options.seed;
   std::optional<NormFit> fit;
   describe(record, analyse_norm(record, &fit), study);
-  if (fit->scatter_degrees < kFewestScatterDegrees ||
+  const double degrees = std::min(fit->scatter_degrees, fit->turn_degrees);
+  if (degrees < kFewestScatterDegrees ||
       !study.standard_uncertainty.tail<kStudyOutputs - kFirstOffset>().allFinite()) {
     study.no_trials = fmt::format(
         "Monte Carlo is not made: the scatter of the poses has {:.2g} degrees of freedom, and its "
         "distribution has a "
         "standard deviation from {:g} on. More poses, or poses with stated uncertainties, give them.",
-        fit->scatter_degrees, kFewestScatterDegrees);
+        degrees, kFewestScatterDegrees);
     return study;
   }
   const NormTrials trials(*fit, record.tolerances, options.seed);
@@ -163,8 +164,8 @@ RunUncertainty norm_uncertainty(const RunRecord& record, const UncertaintyOption
       kStudyOutputs, [&](std::uint64_t first, std::size_t count, double* out) { trials(first, count, out); },
       monte_carlo_options(options));
   study.interrupted = study.combined.interrupted;
-  leave_out_matrix(study.combined);
-  compare_with_stated(study.combined, *study.joint, !std::isfinite(fit->scatter_degrees));
+  if (!fit->solution.orientation) leave_out_matrix(study.combined);
+  compare_with_stated(study.combined, *study.joint, !std::isfinite(degrees));
   warn(*study.joint, study.response_unit, study.warnings);
   if (const std::uint64_t count = trials.not_converged(); count > 0)
     study.warnings.push_back(

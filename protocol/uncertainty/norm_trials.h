@@ -5,10 +5,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/uncertainty/random_stream.h"
+#include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 
@@ -19,10 +21,12 @@ namespace abcal {
 /// degrees of freedom (6.4.9). All trials depend on seed and number alone.
 class NormTrials {
  public:
+  /// Stated directions get errors of their own, each of all poses of one direction.
   /// @param fit  must outlive this; at least 2 degrees of freedom of its scatter
   NormTrials(const NormFit& fit, const EffectSizes& sizes, std::uint64_t seed);
 
-  /// A TrialBlock: errors of the 18 outputs, of which those of the matrix are zero; angles in degrees.
+  /// A TrialBlock: errors of the 18 outputs; those of the matrix are zero where the fit has no orientation;
+  /// angles in degrees.
   void operator()(std::uint64_t first, std::size_t count, double* out) const;
 
   /// Trials so far that had no solution, and count as their linear approximation.
@@ -30,7 +34,9 @@ class NormTrials {
 
  private:
   Eigen::VectorXd drawn_item(RandomStream& stream) const;
-  Eigen::Matrix<double, 9, 1> error(std::uint64_t trial) const;
+  /// A direction of each pose, in the gauge of the fit.
+  std::vector<Eigen::Vector3d> drawn_directions(double scatter, RandomStream& stream) const;
+  OutputVector error(std::uint64_t trial) const;
 
   const NormFit& fit_;
   const EffectSizes& sizes_;

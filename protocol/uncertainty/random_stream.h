@@ -14,7 +14,8 @@ enum class StreamPurpose : std::uint32_t {
   kAccelerometers = 2,
   kReadings = 3,
   kTest = 4,
-  kEffects = 5  ///< Effects of stage and item, and the noise, of a trial of the joint estimator.
+  kEffects = 5,    ///< Effects of stage and item, and the noise, of a trial of the joint estimator.
+  kComparison = 6  ///< Results of laboratories.
 };
 
 /// Counter-based random numbers: Philox4x32-10 (Salmon et al. 2011; Random123). One stream a trial: the

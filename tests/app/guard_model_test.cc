@@ -6,38 +6,18 @@
 #include <gtest/gtest.h>
 
 #include <compare>
-#include <fstream>
 #include <set>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "drivers/text/names.h"
-#include "tests/support/project_paths.h"
+#include "tests/app/guard_faults.h"
 
 namespace abcal {
 namespace {
 
 using testing::Contains;
 using testing::IsEmpty;
-
-enum class FaultKind {
-  kKillProgram,
-  kFreezeProgram,
-  kEndProgram,      ///< Ctrl-C, SIGTERM, the end of a jog.
-  kSuspendProgram,  ///< Ctrl-Z.
-  kKillGuard,
-  kFreezeGuard,
-  kUnplug,  ///< The port is gone, and comes back at any time later.
-};
-
-constexpr auto kFaults = names<FaultKind>({{FaultKind::kKillProgram, "program killed"},
-                                           {FaultKind::kFreezeProgram, "program frozen"},
-                                           {FaultKind::kEndProgram, "program ended"},
-                                           {FaultKind::kSuspendProgram, "program suspended"},
-                                           {FaultKind::kKillGuard, "guard killed"},
-                                           {FaultKind::kFreezeGuard, "guard frozen"},
-                                           {FaultKind::kUnplug, "port gone"}});
 
 enum class Process { kRuns, kEnds, kSuspends, kFrozen, kGone };
 
@@ -147,21 +127,6 @@ std::set<std::string> losses(std::size_t most, const Rules& rules = {}) {
       if (seen.insert(each).second) open.push_back(each);
   }
   return lost;
-}
-
-/// "| program killed | guard frozen | ..." in docs/halting.md, in both orders.
-std::set<std::string> named_losses() {
-  std::set<std::string> named;
-  std::ifstream page(test::source_folder() / "docs/halting.md");
-  for (std::string line; std::getline(page, line);) {
-    if (!line.starts_with("| program ")) continue;
-    const std::size_t second = line.find(" | ") + 3;
-    const std::string a = line.substr(2, second - 5),
-                      b = line.substr(second, line.find(" |", second) - second);
-    named.insert(a + ", " + b);
-    named.insert(b + ", " + a);
-  }
-  return named;
 }
 
 TEST(GuardModel, NoSingleFaultIsLost) {

@@ -9,6 +9,7 @@
 #include <random>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "tests/app/program_fixtures.h"
@@ -97,6 +98,70 @@ TEST_F(TableCommands, WhatTheFileDoesNotSayOptionsDo) {
   EXPECT_THAT(refused.err, HasSubstr("--columns: found 4 names"));
 }
 
+TEST_F(TableCommands, PrintedCommandsRepeatTheOptionsThatTheFileNeeds) {
+  write_poses("a.csv", 1);
+  const std::vector<std::string> options{"--columns=x,y,z", "--unit", "m/s2", "--time-unit", "ms"};
+  std::vector<std::string> analyse{"analyse", "a.csv"};
+  analyse.insert(analyse.end(), options.begin(), options.end());
+  const std::string named = "a.csv --columns=x,y,z --unit=m/s2 --time-unit=ms";
+  EXPECT_THAT(abcal(analyse).out,
+              AllOf(HasSubstr("abcal analyse " + named + " --full\n"), HasSubstr("File: " + named + "\n")));
+  // A line as it is printed is a command.
+  std::vector<std::string> full{"analyse"};
+  std::istringstream words(named + " --full");
+  for (std::string word; words >> word;) full.push_back(word);
+  const ProgramResult again = abcal(full);
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+  EXPECT_THAT(again.err, HasSubstr("readings x, y, z in m/s2"));
+}
+
+TEST_F(TableCommands, AMappingIsKeptBesideTheTable) {
+  write_poses("a.csv", 1);
+  const ProgramResult kept =
+      abcal({"analyse", "a.csv", "--unit", "m/s2", "--columns", "x,y,z", "--keep-mapping"});
+  EXPECT_EQ(kept.exit_code, 0) << kept.err;
+  EXPECT_THAT(kept.err, HasSubstr("kept in a.csv.mapping.toml"));
+  EXPECT_THAT(kept.out, HasSubstr("abcal analyse a.csv --full\n"));
+  EXPECT_EQ(test::read_file(folder / "a.csv.mapping.toml"),
+            "schema = 'abcal.mapping/1'\ncolumns = 'x,y,z'\nunit = 'm/s2'\n");
+  for (const char* command : {"analyse", "report", "uncertainty"})
+    EXPECT_THAT(abcal({command, "a.csv"}).err,
+                HasSubstr("readings x, y, z in m/s2; commas between the cells; columns, unit as "
+                          "a.csv.mapping.toml states"))
+        << command;
+  EXPECT_EQ(json_of({"analyse", "a.csv"}).at("response_unit"), "m/s2");
+  // The command line has precedence.
+  EXPECT_EQ(json_of({"analyse", "a.csv", "--unit", "g"}).at("response_unit"), "g");
+  write_poses("b.csv", 2);
+  EXPECT_THAT(abcal({"analyse", "b.csv", "--keep-mapping"}).err, HasSubstr("nothing is stated of b.csv"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "b.csv.mapping.toml"));
+}
+
+TEST_F(TableCommands, AMappingHasTheShortNameOfAUnitOfTime) {
+  write_poses("a.csv", 1);
+  const ProgramResult kept = abcal({"analyse", "a.csv", "--time-unit", "Milliseconds", "--keep-mapping"});
+  EXPECT_EQ(kept.exit_code, 0) << kept.err;
+  EXPECT_THAT(test::read_file(folder / "a.csv.mapping.toml"), HasSubstr("time_unit = 'ms'\n"));
+  const ProgramResult again = abcal({"analyse", "a.csv"});
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+}
+
+TEST_F(TableCommands, AMappingThatIsWrongIsRefusedWithEveryProblem) {
+  write_poses("a.csv", 1);
+  test::write_file(folder / "a.csv.mapping.toml",
+                   "schema = \"abcal.mapping/1\"\nunits = \"g\"\ntime_unit = \"min\"\ncolumns = 3\n");
+  const ProgramResult refused = abcal({"analyse", "a.csv"});
+  EXPECT_NE(refused.exit_code, 0);
+  EXPECT_THAT(refused.err,
+              AllOf(HasSubstr("mapping a.csv.mapping.toml: 3 problems"), HasSubstr("line 2"),
+                    HasSubstr("\"unit\""), HasSubstr("line 3, time_unit"), HasSubstr("line 4, columns")));
+  // Columns that do not fit the table: the message names the mapping.
+  test::write_file(folder / "a.csv.mapping.toml", "schema = \"abcal.mapping/1\"\ncolumns = \"t,x,y,z\"\n");
+  EXPECT_THAT(abcal({"analyse", "a.csv"}).err, HasSubstr("a.csv.mapping.toml, columns: found 4 names"));
+  test::write_file(folder / "a.csv.mapping.toml", "unit = \"g\"\n");
+  EXPECT_THAT(abcal({"analyse", "a.csv"}).err, HasSubstr("abcal.mapping/1"));
+}
+
 TEST_F(TableCommands, AnEstimatorThatNeedsAnglesNamesTheOneThatDoesNot) {
   write_poses("a.csv", 1);
   for (const char* command : {"analyse", "uncertainty", "compare"}) {
@@ -158,6 +223,49 @@ TEST_F(TableCommands, IsComparedAndExported) {
   }
   EXPECT_THAT(abcal({"export", "c.csv", "--as", "kalibr"}).err,
               HasSubstr("the noise of single readings is not known"));
+}
+
+TEST_F(TableCommands, StatedDirectionsGiveTheMatrix) {
+  std::mt19937_64 engine(3);
+  std::normal_distribution<double> normal(0.0, 1.0);
+  std::ostringstream text;
+  text.precision(12);
+  text << "# pose_uncertainty_deg: 0.06\nup_x,up_y,up_z,ax,ay,az\n";
+  for (int i = 0; i < 30; ++i) {
+    std::array<double, 3> up{normal(engine), normal(engine), normal(engine)}, real{};
+    const double size = std::hypot(up[0], up[1], up[2]);
+    for (std::size_t k = 0; k < 3; ++k) real[k] = up[k] / size + 1e-3 * normal(engine);
+    const double length = std::hypot(real[0], real[1], real[2]);
+    text << up[0] << "," << up[1] << "," << up[2];
+    // Turned by 90 degrees about z in its mount.
+    text << "," << 1.02 * real[1] / length + 0.01 + 1e-4 * normal(engine) << ","
+         << -0.98 * real[0] / length - 0.02 + 1e-4 * normal(engine) << ","
+         << real[2] / length + 1e-4 * normal(engine) << "\n";
+  }
+  test::write_file(folder / "a.csv", text.str());
+  const Json result = json_of({"analyse", "a.csv", "--unit", "g"});
+  EXPECT_EQ(result.at("estimator"), "norm");
+  const Json& matrix = result.at("sensitivity_matrix");
+  EXPECT_NEAR(matrix.at(0).at(1).at("value").get<double>(), 1.02, 3e-3);
+  EXPECT_NEAR(matrix.at(1).at(0).at("value").get<double>(), -0.98, 3e-3);
+  EXPECT_NEAR(matrix.at(0).at(0).at("value").get<double>(), 0.0, 3e-3);
+  EXPECT_THAT(abcal({"analyse", "a.csv", "--full"}).out,
+              AllOf(HasSubstr("s_ux"), HasSubstr("of the directions:")));
+  const ProgramResult reported = abcal({"report", "a.csv", "--unit", "g", "--csv", "b.csv"});
+  EXPECT_EQ(reported.exit_code, 0) << reported.err;
+  const Json again = json_of({"analyse", "b.csv"});
+  for (const char* group : {"sensitivity_matrix", "offset"})
+    EXPECT_EQ(result.at(group), again.at(group)) << group;
+  EXPECT_THAT(test::unwrapped(abcal({"report", "a.csv", "--unit", "g"}).out),
+              HasSubstr("whose directions are stated"));
+  const Json study = json_of({"uncertainty", "a.csv", "--unit", "g", "--trials", "2000"});
+  for (const auto& [group, i, k] : {std::tuple{"sensitivity_matrix", 0, 2}, {"sensitivity_matrix", 1, 0}}) {
+    const Json& interval = study.at("interval").at(group).at(i).at(k);
+    const double stated = study.at("posterior").at("expanded_uncertainty").at(group).at(i).at(k);
+    EXPECT_NEAR((interval.at(1).get<double>() - interval.at(0).get<double>()) / (2.0 * stated), 1.0, 0.1);
+  }
+  test::write_file(folder / "c.csv", "# g_loc.value_mps2: 9.81\n" + text.str());
+  EXPECT_EQ(abcal({"export", "c.csv", "--unit", "g", "--as", "json", "--frame", "platter"}).exit_code, 0);
 }
 
 TEST_F(TableCommands, GetsNoCertificate) {

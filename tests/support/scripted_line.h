@@ -18,6 +18,9 @@
 
 namespace abcal::test {
 
+/// From a command to its reply.
+inline constexpr std::chrono::milliseconds kReplyTime{2};
+
 /// The far end of a line of text commands: a function gives the answer to each, and a script the faults of
 /// these answers. Times are those of the FakeClock, which a read takes to the arrival of the next bytes or to
 /// its deadline.
@@ -141,8 +144,7 @@ class ScriptedLine final : public wire::ByteStream {
       mishap = queue.front();
       queue.pop_front();
     }
-    put(mishap.before + mishap.instead.value_or(answer),
-        clock_.now() + std::chrono::milliseconds(2) + mishap.late);
+    put(mishap.before + mishap.instead.value_or(answer), clock_.now() + kReplyTime + mishap.late);
   }
 
   FakeClock& clock_;

@@ -70,9 +70,11 @@ Section head_section(const PageSource& from) {
            from.text(core + "dcc:identifications/dcc:identification/dcc:value"));
   SideBySide facts;
   add_fact(facts.left, from.say("Object"), from.content(item + "/dcc:name"));
-  add_fact(facts.left, from.say("Manufacturer"), from.content(item + "/dcc:manufacturer/dcc:name"));
-  add_fact(facts.left, from.say("Type"), from.text(item + "/dcc:model"));
-  add_fact(facts.left, from.say("Serial number"), identification(from, item, "Serial number"));
+  add_fact(facts.left, from.say("Manufacturer"),
+           identity_value(from, "Manufacturer", from.content(item + "/dcc:manufacturer/dcc:name")));
+  add_fact(facts.left, from.say("Type"), identity_value(from, "Type", from.text(item + "/dcc:model")));
+  add_fact(facts.left, from.say("Serial number"),
+           identity_value(from, "Serial number", identification(from, item, "Serial number")));
   add_fact(facts.left, from.say("Number of the owner"), identification(from, item, "Number of the owner"));
   const std::string begin = from.text(core + "dcc:beginPerformanceDate"),
                     end = from.text(core + "dcc:endPerformanceDate");
@@ -446,9 +448,14 @@ Document certificate_page(const std::string& xml) {
   document.figure_words = from.words("Figure {number}: {title}", Stated{"{}"}, Stated{"{}"}).text;
   document.title = from.say("Calibration certificate");
   document.subtitle = from.text("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier");
+  const std::string serial_number =
+      identification(from, "dcc:administrativeData/dcc:items/dcc:item", "Serial number");
   document.identification =
       joined({document.subtitle,
-              from.content("dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name")},
+              from.content("dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name"),
+              serial_number.empty()
+                  ? ""
+                  : from.say("Serial number") + " " + identity_value(from, "Serial number", serial_number)},
              " · ");
   document.origin =
       "abcal, " + from.content("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:description");

@@ -8,6 +8,7 @@
 #include <functional>
 #include <string>
 
+#include "app/bench_file/not_real.h"
 #include "app/laboratory/certificate/certified_record.h"
 #include "app/laboratory/certificate/dcc_rates.h"
 #include "app/laboratory/certificate/dcc_text.h"
@@ -17,6 +18,7 @@
 #include "app/results/analysis/held_out_words.h"
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/plan/faces.h"
+#include "protocol/record/run_label.h"
 
 namespace abcal {
 namespace {
@@ -105,15 +107,22 @@ void add_gravity(XmlElement& conditions, const Certificate& certificate, const C
   add_value(quantity, result.g_loc, "local gravity");
 }
 
-void add_instrument(XmlElement& list, const Words& words, const InstrumentIdentity& instrument) {
+void add_instrument(XmlElement& list, const Words& words, const InstrumentIdentity& instrument,
+                    const RunHeader& header) {
   XmlElement equipment = list.add("dcc:measuringEquipment");
   equipment.attribute("refType", "abc_" + instrument.role);
   add_words(equipment, "dcc:name",
             words("Instrument used as {role}, as it identified itself", word_of(kRoles, instrument.role)));
-  add_words(equipment, "dcc:description",
-            words("firmware {firmware}; {driver}",
-                  instrument.firmware.empty() ? words("not reported").text : instrument.firmware,
-                  instrument.details));
+  std::string details = instrument.details;
+  const std::string stated = label_of(header.labels, stated_serial_number_label(instrument.role));
+  if (const std::string end = stated_serial_number_words(stated); details.ends_with(end))
+    details.resize(details.size() - end.size());
+  Wording description =
+      words("firmware {firmware}; {driver}",
+            instrument.firmware.empty() ? words("not reported").text : instrument.firmware, details);
+  if (!stated.empty())
+    description.text += "; " + words("serial number {serial_number} (stated, not read)", stated).text;
+  add_words(equipment, "dcc:description", description);
   if (!one_line(instrument.maker).empty()) {
     XmlElement manufacturer = equipment.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", instrument.maker);
@@ -328,7 +337,8 @@ void add_equipment(XmlElement& measurement, const Certificate& certificate, cons
   for (const Equipment& equipment : certificate.laboratory.equipment)
     if (belongs_to(equipment, data.result())) add_calibrated(list, certificate.words, equipment);
   for (const InstrumentIdentity& instrument : data.run->header.instruments)
-    if (!instrument.role.starts_with("accelerometer")) add_instrument(list, certificate.words, instrument);
+    if (!instrument.role.starts_with("accelerometer"))
+      add_instrument(list, certificate.words, instrument, data.run->header);
 }
 
 void add_conditions(XmlElement& measurement, const Certificate& certificate,

@@ -11,6 +11,7 @@
 #include "app/laboratory/certificate/dcc_quantity.h"
 #include "app/laboratory/certificate/dcc_text.h"
 #include "app/laboratory/certificate/dsi_list.h"
+#include "app/laboratory/certificate/page_numbers.h"
 #include "app/results/export/constants.h"
 #include "app/results/report/mounting_figure.h"
 #include "protocol/plan/limits.h"
@@ -32,7 +33,20 @@ std::string names_of(const Words& words, const ItemIdentityParts& parts, KnownBy
   return text;
 }
 
+/// As the XML names a part of the identity that nobody read.
+std::string stated_part(const Words& words, const std::string& part) {
+  return words("{part}: stated, not read", part).text;
+}
+
 }  // namespace
+
+std::string identity_value(const PageSource& from, Term part, const std::string& value) {
+  const std::vector<std::string> stated = from.xml.texts(
+      "dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_itemIdentity']/dcc:reference");
+  if (value.empty() || std::ranges::find(stated, stated_part(from.words, from.say(part))) == stated.end())
+    return value;
+  return from.words("{value} (stated, not read)", value).text;
+}
 
 std::string correction_unit(const std::string& response_unit) {
   const bool is_quotient = response_unit.find('/') != std::string::npos;
@@ -97,6 +111,10 @@ Statement identity_statement(const Words& words, const ReportData& data) {
     statement.text.text +=
         (statement.text.text.empty() ? "" : " ") +
         words("Stated by the laboratory, not read from an instrument: {facts}.", stated).text;
+  // For readers that show a part of the identity alone.
+  for (std::size_t i = 0; i < parts.size(); ++i)
+    if (parts[i].known_by() == KnownBy::kStated)
+      statement.references.push_back(stated_part(words, words(kIdentityWords[i]).text));
   return statement;
 }
 
@@ -142,7 +160,13 @@ void add_item_quantities(XmlElement& item, const Words& words, const ReportData&
   };
   for (const ItemFact& fact : kItemSettings) add("abc_setting", words(fact.words), data.label(fact.label));
   add("abc_axes", words("u, v, w along"), data.record.expected.mounting);
-  for (const ItemFact& fact : kItemMounting) add(kMountingRefType, words(fact.words), data.label(fact.label));
+  for (const ItemFact& fact : kItemMounting) {
+    std::string text = data.label(fact.label);
+    // A number with its unit, as the run has it: "0.3 N m".
+    if (const std::size_t end = text.find(' '); fact.label == "item.torque" && end != std::string::npos)
+      text = typeset_number(text.substr(0, end), words) + text.substr(end);
+    add(kMountingRefType, words(fact.words), text);
+  }
 }
 
 Section equation_section(const PageSource& from, xmlNode* measurement) {
@@ -180,20 +204,23 @@ Section mounting_section(const PageSource& from) {
   Section section{from.say("Mounting"), {}};
   FactList list;
   std::string axes;
+  MountingWords words{
+      from.say(
+          "Stated mounting: u, v, w of the item, and x, y, z of the platter at the default orientation."),
+      from.say("platter"), from.say("up")};
   for (const char* ref_type : {"abc_axes", kMountingRefType}) {
     for (xmlNode* quantity : from.xml.nodes(fmt::format("{}[@refType='{}']", quantities, ref_type))) {
       list.facts.emplace_back(from.content("dcc:name", quantity), from.content("dcc:noQuantity", quantity));
-      if (axes.empty()) axes = list.facts.back().second;
+      const auto& [name, text] = list.facts.back();
+      if (axes.empty()) axes = text;
+      if (name == from.say("Reference surface")) words.surface = name + ": " + text;
+      if (name == from.say("Direction marks")) words.marks = name + ": " + text;
     }
   }
   if (list.facts.empty()) return section;
   section.blocks.emplace_back(std::move(list));
   if (const auto directions = mounting_matrix(axes))
-    section.blocks.emplace_back(mounting_figure(
-        *directions,
-        {from.say(
-             "Stated mounting: u, v, w of the item, and x, y, z of the platter at the default orientation."),
-         from.say("platter"), from.say("up")}));
+    section.blocks.emplace_back(mounting_figure(*directions, words));
   return section;
 }
 

@@ -46,6 +46,10 @@ std::vector<std::string> equation_labels();
 /// Settings and mounting of the item, for its description.
 void add_item_quantities(XmlElement& item, const Words& words, const ReportData& data);
 
+/// A part of the item's identity as a page shows it: "17 (stated, not read)" where nobody read it.
+/// @param part  "Serial number", as identity_statement() names it
+std::string identity_value(const PageSource& from, Term part, const std::string& value);
+
 /// Pages: the equation of a calibration; empty without numbers.
 Section equation_section(const PageSource& from, xmlNode* measurement);
 

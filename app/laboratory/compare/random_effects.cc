@@ -30,16 +30,22 @@ WeightedMean weighted_mean(const Eigen::VectorXd& values, const Eigen::MatrixXd&
   return result;
 }
 
-/// The variance of the results' own effects, by bisection: chi2 falls steadily with it.
-double between_variance(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
+double between_variance_of(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
   const double degrees_of_freedom = static_cast<double>(values.size() - 1);
   const Eigen::MatrixXd identity = Eigen::MatrixXd::Identity(values.size(), values.size());
   const auto chi2 = [&](double variance) {
     return weighted_mean(values, covariance + variance * identity).chi2;
   };
-  if (chi2(0.0) <= degrees_of_freedom) return 0.0;
   // With it alone chi2 is at most the sum of squares over the variance.
-  double low = 0.0, high = (values.array() - values.mean()).square().sum() / degrees_of_freedom;
+  return between_variance(chi2, degrees_of_freedom,
+                          (values.array() - values.mean()).square().sum() / degrees_of_freedom);
+}
+
+}  // namespace
+
+double between_variance(const std::function<double(double)>& chi2, double degrees_of_freedom, double scale) {
+  if (chi2(0.0) <= degrees_of_freedom) return 0.0;
+  double low = 0.0, high = scale;
   while (chi2(high) > degrees_of_freedom) high *= 2.0;
   constexpr int kHalvings = 200;  // More than a double has digits.
   for (int k = 0; k < kHalvings && high - low > 1e-15 * high; ++k) {
@@ -48,8 +54,6 @@ double between_variance(const Eigen::VectorXd& values, const Eigen::MatrixXd& co
   }
   return high;
 }
-
-}  // namespace
 
 RandomEffectsMean random_effects_mean(const std::vector<double>& values, const Eigen::MatrixXd& covariance,
                                       const MeanOptions& options) {
@@ -64,7 +68,7 @@ RandomEffectsMean random_effects_mean(const std::vector<double>& values, const E
   const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(values.data(), n);
   const Eigen::VectorXd x_kept = x(kept);
   const Eigen::MatrixXd v = covariance(kept, kept);
-  const double variance = between_variance(x_kept, v);
+  const double variance = between_variance_of(x_kept, v);
   const Eigen::MatrixXd own = variance * Eigen::MatrixXd::Identity(x_kept.size(), x_kept.size());
   const WeightedMean mean = weighted_mean(x_kept, v + own);
   RandomEffectsMean result;

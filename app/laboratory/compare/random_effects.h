@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 namespace abcal {
@@ -25,6 +26,12 @@ struct MeanOptions {
   /// uncertainty of the mean is that which it gives, so that what may be common is not averaged down.
   Eigen::MatrixXd largest_covariance;
 };
+
+/// The variance of the results' own effects that makes chi2 equal to its degrees of freedom, by bisection; 0
+/// where chi2 is no larger without it.
+/// @param chi2  of this variance; it falls steadily
+/// @param scale  above 0: a variance of the size that is expected
+double between_variance(const std::function<double(double)>& chi2, double degrees_of_freedom, double scale);
 
 /// The generalised least-squares mean. `between` solves r' (V + between^2 I)^-1 r = n - 1, r being the
 /// residuals (Mandel and Paule for correlated results). E_n takes the covariance of a result with the mean

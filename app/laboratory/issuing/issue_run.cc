@@ -294,7 +294,8 @@ EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
   const std::vector<std::string> calibration = runs_of_file(asked.run);
   std::vector<std::string> runs = calibration;
   if (!asked.certificate.as_found.empty()) runs.push_back(asked.certificate.as_found);
-  runs.insert(runs.end(), asked.certificate.temperature.begin(), asked.certificate.temperature.end());
+  for (const std::string& point : asked.certificate.temperature)
+    if (std::ranges::find(runs, point) == runs.end()) runs.push_back(point);
   lab::Register* opened = registered == nullptr ? nullptr : &registered->opened;
   Trust trust;
   if (opened != nullptr) trust.keys = bench_keys(*opened);
@@ -320,11 +321,12 @@ EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
           "printed on the certificate",
           run, missing);
     } else {
-      of_all.witnessing = {{}, 0, asked.not_witnessed};
+      of_all.witnessing.statement = asked.not_witnessed;
     }
   }
   // A witness of some runs of a measurement is none of the measurement.
-  if (witnessed < calibration.size() && of_all.witnessing.statement.empty()) of_all.witnessing = {};
+  if (witnessed < calibration.size() || !of_all.witnessing.statement.empty())
+    of_all.witnessing = {{}, 0, of_all.witnessing.statement};
   return of_all;
 }
 

@@ -108,8 +108,7 @@ std::map<std::string, std::string> item_labels(const BenchItemConfig& stated, co
 void note_stated_serial_number(const std::string& stated, InstrumentIdentity& instrument, RunHeader& header) {
   if (stated.empty() || is_serial_number_reported(instrument.serial_number)) return;
   header.labels[stated_serial_number_label(instrument.role)] = stated;
-  instrument.details +=
-      fmt::format("; serial number {} stated by the bench file, not reported by the instrument", stated);
+  instrument.details += stated_serial_number_words(stated);
 }
 
 /// Adds the items, their accelerometers and the facts of each to the header.

@@ -22,7 +22,8 @@ const std::vector<Estimator>& estimators() {
        .certifiable = true,
        .fits_stage_errors = true},
       {.name = "norm",
-       .words = ", which uses only the magnitude of gravity and no angles, and therefore gives no matrix",
+       .words = ", which uses only the magnitude of gravity and no angles, and therefore gives no matrix; "
+                "where a table states the directions of its poses, these as well",
        .needs_angles = false,
        .fits_stage_errors = true,
        .fit = [](const RunRecord& record) { return analyse_norm(record); }},

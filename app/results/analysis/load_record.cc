@@ -28,7 +28,8 @@ bool is_run_file(const std::filesystem::path& path, const TableOptions& options)
   if (RunFile::looks_like_run_file(path)) {
     if (!options.is_empty())
       throw std::invalid_argument(
-          fmt::format("--columns, --unit, --time-unit, --topic: {} is a run file, which states all of it; "
+          fmt::format("--columns, --unit, --time-unit, --topic, --keep-mapping: {} is a run file, which "
+                      "states all of it; "
                       "required: a table",
                       path.string()));
     return true;

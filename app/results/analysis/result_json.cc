@@ -298,6 +298,7 @@ Json result_json(const CalibrationResult& result) {
     for (const auto& [pose, residual] : norm.left_out)
       json["left_out"].push_back({{"pose", pose}, {"residual", json_number(residual)}});
     json["norm_rms"] = json_number(norm.norm_rms);
+    if (norm.direction_rms_deg) json["direction_rms_deg"] = json_number(*norm.direction_rms_deg);
     json["sphere_coverage"] = json_number(norm.sphere_coverage);
     json["coverage_words"] = norm.coverage_words;
   }

@@ -162,7 +162,7 @@ std::string full_command(const std::string& file) {
   return fmt::format("abcal analyse {} --full", file);
 }
 
-/// Of a run with several items the command for one.
+/// The command for one item, where the run has several.
 std::string full_command(const AnalysedItem& item, const std::string& file) {
   const bool several = item.stored.header.items.size() > 1;
   return fmt::format("abcal analyse {}{} --full", file,
@@ -260,6 +260,7 @@ std::vector<Warning> warnings_of(const AnalysedRun& run, const std::string& file
 
 /// Every default with its cost.
 std::string defaults_text(const AnalysedItem& item, const Budget& budget, std::FILE* stream) {
+  if (!has_angles(item.stored.record)) return {};  // It has no stage.
   const std::string text = default_costs_text(default_costs(item.stored.record.tolerances, budget));
   if (text.empty()) return text;
   return fmt::format(

@@ -12,7 +12,7 @@ namespace abcal {
 /// of the others with the command that lists them; what to do next; the name of the file. Names of files and
 /// commands stay whole, however long, so that they can be copied. The result is the first of the item.
 /// Colours as `stream` allows.
-/// @param file  name of the run or CSV, as a command takes it
+/// @param file  name of the run or table, as a command takes it: with the options that a table needs
 std::string summary_text(const AnalysedItem& item, const std::string& file, std::FILE* stream);
 
 /// All items of a run: the verdict of all, then a short block for each item. A single item as above.

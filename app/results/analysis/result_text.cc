@@ -183,10 +183,12 @@ void add_model_equation(std::string& text, const ModelEquation& equation) {
 }
 
 void add_poses(std::string& text, const NormResult& norm) {
-  text +=
-      fmt::format("\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}; sphere coverage {:.2f}{}{}\n",
-                  norm.poses, norm.poses_left_out, norm.norm_rms, norm.sphere_coverage,
-                  norm.coverage_words.empty() ? "" : ": ", norm.coverage_words);
+  text += fmt::format(
+      "\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}{}; sphere coverage {:.2f}{}{}\n",
+      norm.poses, norm.poses_left_out, norm.norm_rms,
+      norm.direction_rms_deg ? fmt::format("; of the directions: {:.2g} degree", *norm.direction_rms_deg)
+                             : "",
+      norm.sphere_coverage, norm.coverage_words.empty() ? "" : ": ", norm.coverage_words);
 }
 
 void add_fits(std::string& text, const Diagnostics& d, const std::string& unit) {

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "app/results/analysis/other_file.h"
+#include "app/results/logs/table_mapping.h"
 #include "app/system/helper_program.h"
 #include "app/system/read_file.h"
 #include "app/system/temporary_folder.h"
@@ -67,6 +68,18 @@ LogTable read_log(LogFormat format, const std::filesystem::path& path, const Tab
   }
 }
 
+/// Without a mapping that is kept.
+ImportedTable import_stated(const std::filesystem::path& path, const TableOptions& options) {
+  const LogFormat format = log_format(path);
+  if (format == LogFormat::kNone) return import_table(path, options);
+  LogTable log = read_log(format, path, options);
+  std::istringstream text(std::move(log.text));
+  ImportedTable table = import_table(text, path.string(), options);
+  std::string& first = table.record.read_as.front();
+  first = log.words + ": " + first;
+  return table;
+}
+
 }  // namespace
 
 LogFormat log_format(const std::filesystem::path& path) {
@@ -81,14 +94,14 @@ LogFormat log_format(const std::filesystem::path& path) {
 }
 
 ImportedTable import_readings(const std::filesystem::path& path, const TableOptions& options) {
-  const LogFormat format = log_format(path);
-  if (format == LogFormat::kNone) return import_table(path, options);
-  LogTable log = read_log(format, path, options);
-  std::istringstream text(std::move(log.text));
-  ImportedTable table = import_table(text, path.string(), options);
-  if (table.record.read_as.empty()) table.record.read_as.emplace_back();
-  std::string& first = table.record.read_as.front();
-  first = log.words + (first.empty() ? "" : ": ") + first;
+  std::string from_mapping;
+  const TableOptions stated = with_mapping(path, options, from_mapping);
+  ImportedTable table = import_stated(path, stated);
+  if (options.keep) {
+    keep_mapping(path, stated);
+    from_mapping = "kept in " + mapping_path(path).filename().string();
+  }
+  if (!from_mapping.empty()) table.record.read_as.front() += "; " + from_mapping;
   return table;
 }
 

@@ -48,8 +48,9 @@ LogTable ros2_bag_table(const std::filesystem::path& path, const std::string& to
 std::string chosen_topic(const std::vector<std::string>& found, const std::string& asked,
                          const std::string& source, const std::string& what);
 
-/// Reads any file of readings: a table, as import_table(), or a log.
-/// @throws as import_table(), std::runtime_error
+/// Reads any file of readings: a table, as import_table(), or a log. What `options` do not state, its mapping
+/// does (table_mapping.h).
+/// @throws as import_table(), with_mapping(), keep_mapping(); std::runtime_error
 ImportedTable import_readings(const std::filesystem::path& path, const TableOptions& options = {});
 
 }  // namespace abcal

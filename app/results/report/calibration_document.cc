@@ -263,15 +263,25 @@ Section constant_rate_method(const RunRecord& record) {
 
 /// The method of a table without angles.
 Section pose_method(const RunRecord& record) {
+  const bool directed = states_directions(record);
   Section section{
       "Method",
       {Paragraph{
-           "Poses at rest in the local field of gravity, whose angles are not known. At each pose the "
-           "specific force has the magnitude of local gravity; sensitivities, the angles between the "
-           "axes and offsets follow by least squares from readings in many directions. How the item was "
-           "oriented, and so a matrix, does not (docs/theory/norm_estimator.md)."},
-       Paragraph{"Uncertainty: type A from the stated uncertainties of the poses, or where there are none "
-                 "from the scatter of the magnitude; type B from the stated sizes of the item's effects."}}};
+           directed
+               ? "Poses at rest in the local field of gravity, whose directions are stated. The specific "
+                 "force has the "
+                 "magnitude of local gravity, and the stated direction; the sensitivity matrix in the axes "
+                 "of the mount "
+                 "and the offsets follow by least squares (docs/theory/norm_estimator.md)."
+               : "Poses at rest in the local field of gravity, whose angles are not known. At each pose the "
+                 "specific force has the magnitude of local gravity; sensitivities, the angles between the "
+                 "axes and offsets follow by least squares from readings in many directions. How the item "
+                 "was "
+                 "oriented, and so a matrix, does not (docs/theory/norm_estimator.md)."},
+       Paragraph{
+           "Uncertainty: type A from the stated uncertainties of the poses, or where there are none "
+           "from the scatter of the magnitude, and of the directions where these are stated; type B from "
+           "the stated sizes of the item's effects and the stated uncertainty of directions."}}};
   std::vector<std::string> left_out;
   for (const EffectSizeKey& key : effect_size_keys())
     if (key.section == "item_uncertainty" && key.get(record.tolerances) == 0.0 && key.in_motion == 0.0)

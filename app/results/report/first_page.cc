@@ -84,10 +84,15 @@ std::string equation_words(const ReportData& data) {
 /// Drawing of the item on the platter, of a run that states its mounting.
 void add_mounting(const ReportData& data, Section& section) {
   if (!data.run) return;
-  if (const auto directions = mounting_matrix(data.record.expected.mounting))
-    section.blocks.emplace_back(mounting_figure(
-        *directions, {"Stated mounting: u, v, w of the item, and x, y, z of the platter at the default "
-                      "orientation."}));
+  const auto directions = mounting_matrix(data.record.expected.mounting);
+  if (!directions) return;
+  MountingWords words{
+      "Stated mounting: u, v, w of the item, and x, y, z of the platter at the default orientation."};
+  if (const std::string text = data.label("item.reference_surface"); !text.empty())
+    words.surface = "Reference surface: " + text;
+  if (const std::string text = data.label("item.direction_marks"); !text.empty())
+    words.marks = "Direction marks: " + text;
+  section.blocks.emplace_back(mounting_figure(*directions, words));
 }
 
 /// The verdict, and the values of a result that has some.

@@ -36,6 +36,16 @@ Eigen::Vector2d seen(const Eigen::Vector3d& point) {
   return {right.dot(point), towards_eye().cross(right).dot(point)};
 }
 
+/// At most this many letters of UTF-8.
+std::string shortened(const std::string& text, std::size_t most) {
+  std::size_t letters = 0;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    if ((static_cast<unsigned char>(text[i]) & 0xC0U) == 0x80U) continue;
+    if (letters++ == most) return text.substr(0, i) + "…";
+  }
+  return text;
+}
+
 class Pen {
  public:
   void polygon(const std::vector<Eigen::Vector2d>& corners, const std::string& fill) {
@@ -64,6 +74,21 @@ class Pen {
     auto [x, y] = place(at);
     drawing_.elements.emplace_back(
         PictureLabel{.text = text, .at = {x, y + kMiddle * size}, .size = size, .colour = colour});
+  }
+  /// Words to the right of the picture, with a line from the place that they are about. Long ones are cut:
+  /// the page has them in full.
+  void note(const Eigen::Vector2d& about, double height, const std::string& text) {
+    if (text.empty()) return;
+    constexpr double kLeft = 1.75;
+    constexpr std::size_t kMostLetters = 44;
+    const auto [x, y] = place({kLeft, height});
+    drawing_.elements.emplace_back(
+        PicturePath{.lines = {{place(about), {x - 4.0, y}}}, .stroke = kDark, .width = 0.7});
+    drawing_.elements.emplace_back(PictureLabel{.text = shortened(text, kMostLetters),
+                                                .at = {x, y + 4.0},
+                                                .alignment = 0.0,
+                                                .size = kSmall,
+                                                .colour = kDark});
   }
   /// An axis with its letter at the end.
   void axis(const Eigen::Vector2d& from, const Eigen::Vector2d& by, const std::string& letter,
@@ -131,6 +156,9 @@ Figure mounting_figure(const Eigen::Matrix3d& directions, const MountingWords& w
   draw_block(pen, directions);
   for (Eigen::Index k = 0; k < 3; ++k)
     if (!is_hidden(k)) draw_output(k);
+  const Eigen::Vector3d front = towards_eye() - Eigen::Vector3d::UnitZ() * towards_eye().z();
+  pen.note(seen(0.45 * front.normalized() - Eigen::Vector3d::UnitZ() * height), -0.05, words.surface);
+  pen.note(seen(Eigen::Vector3d::UnitZ() * height), 0.95, words.marks);
   // The axes of the platter stand beside it, where u, v, w do not cover them.
   const Eigen::Vector2d origin(-2.5, -0.35);
   for (Eigen::Index k = 0; k < 3; ++k)

@@ -12,6 +12,8 @@ struct MountingWords {
   std::string caption;
   std::string platter = "platter";
   std::string up = "up";
+  /// Words with the surface on which the item stands and with its marks; empty: not stated.
+  std::string surface = {}, marks = {};
 };
 
 /// Drawing of an item on the platter at the default orientation: the axes x, y, z of the platter, the item as

@@ -49,6 +49,7 @@ std::string comments(const ReportData& data, const std::string& what) {
             comment("g_loc.coverage_factor", csv_number(record.g_loc.coverage_factor)) +
             comment("g_loc.source", record.g_loc.source);
   }
+  if (record.u_up) text += comment(std::string(kPoseUncertaintyKey), csv_number(record.u_up->deg()));
   for (const auto& [name, value] : effect_size_entries(record.tolerances)) text += comment(name, value);
   for (const auto& [name, value] : limits_entries(record.limits, record.expected))
     text += comment(name, value);
@@ -102,6 +103,9 @@ std::string averaged_rows(const ReportData& data, bool with_item, int& left_out)
     if (has_angles(data.record))
       rows += fmt::format("{},{},{},{},", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
                           csv_number(dwell.alpha.deg()));
+    if (states_directions(data.record))
+      rows += fmt::format("{},{},{},", csv_number(dwell.up->x()), csv_number(dwell.up->y()),
+                          csv_number(dwell.up->z()));
     rows += fmt::format("{},{},{}", csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
                         csv_number(dwell.mean[2]));
     for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? csv_number((*dwell.u_mean)[j]) : "");
@@ -166,6 +170,7 @@ std::string averaged_csv(std::span<const ReportData> items) {
          comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_*, spread_* response_unit; time_s s") +
          comment("flags", "sum of " + flags) + (with_item ? "item," : "") +
          (has_angles(items.front().record) ? "experiment,n,closing,alpha_deg," : "") +
+         (states_directions(items.front().record) ? "up_x,up_y,up_z," : "") +
          "r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,encoder_"
          "x_deg,encoder_z_deg,spread_u,spread_v,spread_w" +
          (has_two_faces(items.front().record) ? ",face\n" : "\n") + rows;

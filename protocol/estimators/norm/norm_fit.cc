@@ -14,6 +14,7 @@
 #include "protocol/estimators/norm/norm_model.h"
 #include "protocol/estimators/shared/arrivals.h"
 #include "protocol/estimators/shared/flagged_angles.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/run_time.h"
 #include "protocol/estimators/shared/undetermined.h"
@@ -30,6 +31,12 @@ namespace abcal {
 namespace {
 
 constexpr int kUnknowns = 9;
+/// With the turn of the item in its mount, where the directions of the poses are stated.
+constexpr int kDirectedUnknowns = 12;
+constexpr int kFewestDirections = 5;
+/// With fewer free residuals of the norm, its scatter is taken as that of the directions, which is no
+/// smaller.
+constexpr double kFewestFreeOfNorm = 2.0;
 constexpr int kAngles = 3;
 /// Six poses and three angles make nine equations.
 constexpr std::size_t kFewestPoses = 6;
@@ -69,6 +76,10 @@ bool has_item_effects(const EffectSizes& sizes) {
                      [&](const ItemEffect& effect) { return effect.prior(sizes) > 0.0; });
 }
 
+bool state_directions(std::span<const Pose> poses) {
+  return !poses.empty() && std::ranges::all_of(poses, [](const Pose& pose) { return pose.up.has_value(); });
+}
+
 /// The poses shifted and scaled to readings of about 1, so that the columns of the design have the same size
 /// in LSB and in volts.
 struct ScaledPoses {
@@ -89,8 +100,10 @@ ScaledPoses scaled(std::span<const Pose> poses, double hysteresis) {
   const bool timed =
       std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.t.has_value(); });
   const auto intervals = static_cast<double>(std::max<std::size_t>(poses.size(), 2) - 1);
+  const bool directed = state_directions(poses);
   for (std::size_t i = 0; i < poses.size(); ++i) {
     NormPose pose;
+    if (directed) pose.up = poses[i].up;
     pose.reading = (poses[i].reading - out.centre) / out.size;
     if (out.u_known) pose.u = *poses[i].u / out.size;
     pose.t = timed ? *poses[i].t : static_cast<double>(i) / intervals - 0.5;
@@ -120,19 +133,80 @@ struct Estimate {
   NormSolution solution;
   /// Degrees of freedom of the variance that the residuals gave to the poses; infinite: it is stated.
   double scatter_degrees = std::numeric_limits<double>::infinity();
+  double turn_degrees = std::numeric_limits<double>::infinity();  ///< The same of the directions.
+  double stated_turn = 0.0;      ///< Stated variance of a direction, radian squared; 0: not stated.
+  bool is_norm_as_turn = false;  ///< The scatter of the norm is taken as that of the directions.
   std::vector<std::pair<std::size_t, double>> left_out;     ///< Index and residual.
   double limit = std::numeric_limits<double>::quiet_NaN();  ///< Limit of |residual|; NaN: none beyond.
   bool too_many = false;
 
   /// Number of equations minus number of unknowns without prior.
   int degrees_of_freedom() const {
+    if (solution.orientation)
+      return static_cast<int>(used.size() + 2 * solution.orientation->first.size()) - kDirectedUnknowns;
     return static_cast<int>(used.size()) - kUnknowns + (model.orthogonality > 0.0 ? kAngles : 0);
   }
+  bool is_directed() const { return used.front().up.has_value(); }
+  /// Sets the variance that all norms have in common, and that of the directions as far as it is not stated.
+  void set_variances(double norm, double turn) {
+    model.common_variance = norm;
+    model.turn_variance = !(stated_turn > 0.0) ? turn
+                          : is_norm_as_turn    ? std::max(stated_turn, norm)
+                                               : stated_turn + norm;
+  }
 };
+
+/// Solves with the directions. Variances that nobody states are those that the residuals of the norm and of
+/// the directions give.
+void solve_directed(Estimate& at) {
+  constexpr double kLeast = kSmallestNormScatter * kSmallestNormScatter;
+  // First, and where the norm has few free residuals always, the norms have by far the larger weight: they do
+  // not hide an error of the directions.
+  constexpr double kMuchLess = 1e-2;
+  const bool is_turn_known = at.stated_turn > 0.0;
+  double of_readings = 0.0;  // mean stated variance
+  for (const NormPose& pose : at.used)
+    if (pose.u) of_readings += pose.u->squaredNorm() / (3.0 * static_cast<double>(at.used.size()));
+  const double first_turn = is_turn_known ? at.stated_turn : at.u_known ? of_readings : 1.0;
+  at.is_norm_as_turn = false;
+  at.model.norm_weight = 1.0;
+  at.set_variances(at.u_known ? 0.0 : kMuchLess * first_turn, first_turn);
+  for (int pass = 0; pass < 100; ++pass) {
+    at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+    if (at.u_known && is_turn_known) return;
+    const NormSolution& fit = at.solution;
+    const NormOrientation& turn = *fit.orientation;
+    if (pass == 0 && !at.u_known && fit.redundancy < kFewestFreeOfNorm) {
+      at.is_norm_as_turn = true;
+      at.model.norm_weight = 1.0 / kMuchLess;
+    }
+    const auto next = [&](double variance, double squares, double free) {
+      return std::max(kLeast, variance * squares / std::max(free, 1e-6));
+    };
+    const double last_norm = at.model.common_variance, last_turn = at.model.turn_variance;
+    const double next_turn = next(last_turn, turn.weighted_squares, turn.redundancy);
+    const double of_norm = fit.residual.cwiseAbs2().cwiseQuotient(fit.variance).sum();
+    const double next_norm = at.u_known           ? 0.0
+                             : at.is_norm_as_turn ? next_turn
+                                                  : next(last_norm, of_norm, fit.redundancy);
+    at.scatter_degrees = at.u_known           ? std::numeric_limits<double>::infinity()
+                         : at.is_norm_as_turn ? turn.scatter_degrees
+                                              : fit.scatter_degrees;
+    at.turn_degrees = is_turn_known ? std::numeric_limits<double>::infinity() : turn.scatter_degrees;
+    at.set_variances(next_norm, next_turn);
+    const auto settled = [](double last, double now) { return std::abs(last - now) <= 1e-3 * last; };
+    if (settled(last_norm, at.model.common_variance) && settled(last_turn, at.model.turn_variance)) break;
+  }
+  at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+}
 
 /// Solves with the right weights: stated uncertainties, or else the scatter of the norm, which is estimated
 /// first without effects, since these could absorb part of it.
 void solve(Estimate& at) {
+  if (at.is_directed()) {
+    solve_directed(at);
+    return;
+  }
   const Eigen::VectorXd from = at.solution.unknowns;
   if (at.u_known) {
     at.solution = solve_norm(at.used, at.model, from);
@@ -216,6 +290,15 @@ struct Judgement {
 /// Tests chi2 for stated uncertainties, else reports the scatter. Adds a common scatter where chi2 fails.
 void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement) {
   const int dof = at.degrees_of_freedom();
+  if (at.is_directed() && !(at.u_known && at.stated_turn > 0.0)) {
+    constexpr double kDegree = 180.0 / std::numbers::pi;
+    judgement.about_scatter = Message(
+        "scatter of the norm {norm:.2g} g_loc with {norm_degrees:.3g} degrees of freedom, of the directions "
+        "{turn:.2g} degree with {turn_degrees:.3g}",
+        std::sqrt(at.model.common_variance), at.scatter_degrees, kDegree * std::sqrt(at.model.turn_variance),
+        at.turn_degrees);
+    return;
+  }
   if (!at.u_known) {
     if (static_cast<int>(at.used.size()) > kUnknowns) {
       judgement.about_scatter = Message(
@@ -242,8 +325,9 @@ void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement)
   // A variance common to all poses that makes chi2 equal its expectation (Paule and Mandel).
   double low = 0.0;
   double high = std::max(1e-30, at.solution.residual.squaredNorm());
+  if (at.solution.orientation) high += at.solution.orientation->residual.squaredNorm();
   for (int i = 0; i < 60 && high - low > 1e-6 * high; ++i) {
-    at.model.common_variance = 0.5 * (low + high);
+    at.set_variances(0.5 * (low + high), 0.0);
     at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
     (at.solution.weighted_squares > dof ? low : high) = at.model.common_variance;
   }
@@ -254,6 +338,36 @@ void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement)
       judgement.about_scatter, std::sqrt(high)));
 }
 
+/// The variance of an output and its parts from the norm and from the directions of the poses.
+struct OutputVariance {
+  double total = 0.0, of_norm = 0.0, of_turn = 0.0;
+};
+
+Quantity quantity_of(const Estimate& at, double value, const OutputVariance& variance,
+                     const std::string& unit) {
+  // The part of the directions that is stated; the rest of theirs is the scatter of the readings.
+  const double stated =
+      at.stated_turn > 0.0 ? at.stated_turn / at.model.turn_variance * variance.of_turn : 0.0;
+  double norm = variance.of_norm, turn = variance.of_turn - stated;
+  const double of_poses = norm + turn;
+  if (at.stated_turn > 0.0 || at.is_norm_as_turn) {  // One estimate gives both.
+    norm += turn;
+    turn = 0.0;
+  }
+  Quantity out;
+  out.value = value;
+  out.standard_uncertainty = std::sqrt(variance.total);
+  out.type_a = std::sqrt(of_poses);
+  out.type_b = std::sqrt(std::max(0.0, variance.total - of_poses));
+  out.unit = unit;
+  // Welch and Satterthwaite: the parts of the poses have the degrees of freedom of their scatter. The ratio
+  // is 1 but for round-off where no effect has a prior, and Student's t has no value below one degree.
+  const double parts = norm * norm / at.scatter_degrees + turn * turn / at.turn_degrees;
+  if (of_poses > 0.0 && parts > 0.0)
+    out.degrees_of_freedom = std::max(of_poses, variance.total) * std::max(of_poses, variance.total) / parts;
+  return out;
+}
+
 void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult& result) {
   const NormSolution& fit = at.solution;
   Eigen::Matrix<double, 9, 1> units = Eigen::Matrix<double, 9, 1>::Constant(scale.size);
@@ -261,34 +375,44 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
   Covariance9 total = scaled_on_both_sides(fit.covariance, units);
   Covariance9 of_poses = scaled_on_both_sides(fit.covariance_of_poses, units);
   // Nine poses without uncertainties determine the values, but not their uncertainties.
-  if (!at.u_known && static_cast<int>(at.used.size()) <= kUnknowns) {
+  if (!at.u_known && !fit.orientation && static_cast<int>(at.used.size()) <= kUnknowns) {
     total.setConstant(std::numeric_limits<double>::quiet_NaN());
     of_poses = total;
   }
+  Covariance9 of_turn = Covariance9::Zero();
+  if (fit.orientation)
+    of_turn = scaled_on_both_sides(
+        carried_covariance(intrinsic_jacobian(fit.line_sensitivity), fit.orientation->of_turn), units);
   const auto quantity = [&](Eigen::Index i, double value, const std::string& unit) {
-    Quantity out;
-    out.value = value;
-    out.standard_uncertainty = std::sqrt(total(i, i));
-    out.type_a = std::sqrt(of_poses(i, i));
-    out.type_b = std::sqrt(std::max(0.0, total(i, i) - of_poses(i, i)));
-    out.unit = unit;
-    // Welch and Satterthwaite: the part of the poses has the degrees of freedom of their scatter. The ratio
-    // is 1 but for round-off where no effect has a prior, and Student's t has no value below one degree.
-    if (of_poses(i, i) > 0.0)
-      out.degrees_of_freedom = at.scatter_degrees * std::pow(std::max(1.0, total(i, i) / of_poses(i, i)), 2);
-    return out;
+    return quantity_of(at, value, {total(i, i), of_poses(i, i) - of_turn(i, i), of_turn(i, i)}, unit);
   };
+  const std::string per_g = result.response_unit + "/g_loc";
   for (Eigen::Index j = 0; j < 3; ++j) {
     const auto place = static_cast<std::size_t>(j);
-    result.intrinsic_sensitivity[place] =
-        quantity(j, scale.size * fit.intrinsic(j), result.response_unit + "/g_loc");
+    result.intrinsic_sensitivity[place] = quantity(j, scale.size * fit.intrinsic(j), per_g);
     result.intrinsic_angle[place] = quantity(3 + j, fit.intrinsic(3 + j), "degree");
     result.offset[place] =
         quantity(6 + j, scale.centre(j) + scale.size * fit.intrinsic(6 + j), result.response_unit);
   }
+  const double stated = at.stated_turn > 0.0 ? at.stated_turn / at.model.turn_variance : 0.0;
   result.covariance_intrinsic = total;
-  result.covariance_intrinsic_type_a = of_poses;
-  result.covariance_intrinsic_type_b = total - of_poses;
+  result.covariance_intrinsic_type_a = of_poses - stated * of_turn;
+  result.covariance_intrinsic_type_b = total - *result.covariance_intrinsic_type_a;
+  if (!fit.orientation) return;
+  const NormOrientation& orientation = *fit.orientation;
+  const double size2 = scale.size * scale.size;
+  auto& matrix = result.sensitivity_matrix.emplace();
+  for (std::size_t i = 0; i < 9; ++i) {
+    const auto at_i = static_cast<Eigen::Index>(i);
+    matrix[i / 3][i % 3] =
+        quantity_of(at, scale.size * fit.line_sensitivity(at_i / 3, at_i % 3),
+                    {size2 * orientation.covariance(at_i, at_i), size2 * orientation.of_norm(at_i, at_i),
+                     size2 * orientation.of_turn(at_i, at_i)},
+                    per_g);
+  }
+  result.covariance = size2 * orientation.covariance;
+  result.covariance_type_a = size2 * (orientation.of_norm + (1.0 - stated) * orientation.of_turn);
+  result.covariance_type_b = *result.covariance - *result.covariance_type_a;
 }
 
 /// Judges the uncertainties by the rule of all estimators.
@@ -364,14 +488,49 @@ void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationR
   }
 }
 
+/// Names the directions that are off; they are not left out, as nobody knows which of both is wrong.
+void judge_directions(std::span<const Pose> poses, const Estimate& at, CalibrationResult& result,
+                      Judgement& judgement) {
+  if (!at.solution.orientation) return;
+  constexpr double kDegree = 180.0 / std::numbers::pi;
+  const NormOrientation& turn = *at.solution.orientation;
+  const Eigen::VectorXd off = turn.residual.colwise().norm().transpose();
+  result.norm->direction_rms_deg =
+      kDegree * std::sqrt(off.squaredNorm() / static_cast<double>(2 * off.size()));
+  // From the median of the length of two normal errors to their standard deviation.
+  double scatter = median({off.data(), off.data() + off.size()}) / 1.1774;
+  if (at.stated_turn > 0.0) scatter = std::max(scatter, std::sqrt(at.model.turn_variance));
+  for (Eigen::Index k = 0; k < off.size(); ++k) {
+    if (!(off(k) > kNormOutlier * scatter) || off(k) < 1e-12) continue;
+    const std::size_t place = at.place[turn.first[static_cast<std::size_t>(k)]];
+    const Message& name = poses[place].name;
+    judgement.contradictions.push_back(Message(
+        "the stated direction of {pose} is off by {angle:.2g} degree, more than {times:g} robust standard "
+        "deviations of all",
+        name.empty() ? Message("pose {number}", place + 1) : name, kDegree * off(k), kNormOutlier));
+  }
+}
+
+/// The part of the variances that is from the stated uncertainty of the directions.
+void add_share_of_directions(const Estimate& at, NormResult& norm) {
+  if (!at.solution.orientation || !(at.stated_turn > 0.0)) return;
+  const Covariance9 of_turn =
+      carried_covariance(intrinsic_jacobian(at.solution.line_sensitivity), at.solution.orientation->of_turn);
+  const double stated = at.stated_turn / at.model.turn_variance;
+  norm.shares.push_back({"the stated directions of the poses", std::string(kPoseUncertaintyKey),
+                         stated * of_turn.diagonal(),
+                         stated * at.solution.orientation->of_turn.diagonal().head<9>()});
+}
+
 /// Fills the result from checked poses, except for the source of the poses.
-void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result,
-              std::optional<NormFit>* fit) {
+void estimate(std::span<const Pose> poses, const EffectSizes& sizes, std::optional<Angle> u_up,
+              CalibrationResult& result, std::optional<NormFit>* fit) {
   const ScaledPoses scale = scaled(poses, sizes.hysteresis);
   Estimate at;
   at.u_known = scale.u_known;
   at.model.sizes = sizes;
-  if (poses.size() < kUnknowns) at.model.orthogonality = sizes.orthogonality.rad();
+  if (u_up) at.stated_turn = u_up->rad() * u_up->rad();
+  if (poses.size() < kUnknowns && !scale.poses.front().up) at.model.orthogonality = sizes.orthogonality.rad();
   at.used = scale.poses;
   for (std::size_t i = 0; i < poses.size(); ++i) at.place.push_back(i);
   solve(at);
@@ -384,17 +543,21 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.degrees_of_freedom = at.degrees_of_freedom();
   diagnostics.reciprocal_condition = at.solution.reciprocal_condition;
-  diagnostics.rank = kUnknowns;
+  diagnostics.rank = at.is_directed() ? kDirectedUnknowns : kUnknowns;
   diagnostics.angles_used = static_cast<int>(at.used.size());
   NormResult& norm = result.norm.emplace();
   norm.poses = static_cast<int>(at.used.size());
   norm.norm_rms = rms;
   norm.shares = at.solution.shares;
-  for (NormEffectShare& share : norm.shares)
+  add_share_of_directions(at, norm);
+  for (NormEffectShare& share : norm.shares) {
+    share.of_matrix *= scale.size * scale.size;
     for (const Eigen::Index i : {0, 1, 2, 6, 7, 8}) share.variance(i) *= scale.size * scale.size;
+  }
   judge_outputs(at, scale, sizes, result, judgement);
   judge_coverage(at, result, judgement);
   list_left_out(poses, at, result, judgement);
+  judge_directions(poses, at, result, judgement);
   if (at.model.orthogonality > 0.0) {
     diagnostics.notes.push_back(
         Message("{poses} poses are fewer than the nine unknowns: the angles between the axes are taken as 90 "
@@ -411,12 +574,17 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
     result.why = in_sequence(judgement.contradictions);
   }
   if (fit != nullptr)
-    *fit = NormFit{std::move(at.used), at.model,   std::move(at.solution),
-                   scale.centre,       scale.size, at.scatter_degrees};
+    *fit = NormFit{std::move(at.used), at.model,           std::move(at.solution), scale.centre,
+                   scale.size,         at.scatter_degrees, at.turn_degrees};
 }
 
-void require_enough(std::size_t poses, const EffectSizes& sizes) {
-  if (poses >= kUnknowns) return;
+void require_enough(std::size_t poses, bool directed, const EffectSizes& sizes) {
+  if (directed && poses < kFewestDirections)
+    throw UnusableData(
+        fmt::format("norm fit: {} poses of stated directions; {} or more are required, in "
+                    "directions that are not in one plane",
+                    poses, kFewestDirections));
+  if (poses >= kUnknowns || directed) return;
   if (poses >= kFewestPoses && sizes.orthogonality.rad() > 0.0) return;
   throw UnusableData(fmt::format(
       "norm fit: {} poses; nine or more are required, or six or more with the angles between the axes stated "
@@ -424,8 +592,8 @@ void require_enough(std::size_t poses, const EffectSizes& sizes) {
       poses));
 }
 
-void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result,
-                  std::optional<NormFit>* fit = nullptr) {
+void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, std::optional<Angle> u_up,
+                  CalibrationResult& result, std::optional<NormFit>* fit = nullptr) {
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const Pose& pose = poses[i];
     if (!pose.reading.allFinite()) {
@@ -437,8 +605,8 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
     }
   }
   try {
-    require_enough(poses.size(), sizes);
-    estimate(poses, sizes, result, fit);
+    require_enough(poses.size(), state_directions(poses), sizes);
+    estimate(poses, sizes, u_up, result, fit);
   } catch (const UnusableData& error) {
     result.verdict = Verdict::kNotUsable;
     result.why = error.message();
@@ -464,7 +632,7 @@ struct RecordPoses {
       ++stuck;
       return;
     }
-    Pose pose{dwell.mean, {}, t, {}, {}};
+    Pose pose{dwell.mean, {}, t, {}, {}, dwell.up};
     // An uncertainty of zero means that it is not known (a dwell without any scatter).
     if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
     if (dwell.experiment > 0) {
@@ -512,11 +680,12 @@ EffectSizes linear_item(EffectSizes sizes) {
   return sizes;
 }
 
-CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes) {
+CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes,
+                               std::optional<Angle> u_up) {
   CalibrationResult result;
   result.estimator = "norm";
   result.g_loc.unit = "m/s2";
-  analyse_into(poses, sizes, result);
+  analyse_into(poses, sizes, u_up, result);
   add_voltmeter(sizes, result);
   return result;
 }
@@ -552,7 +721,7 @@ CalibrationResult analyse_norm(const RunRecord& record, std::optional<NormFit>* 
         Message("{poses} poses without finite readings left out", all.not_finite));
   }
   all.take_signs(record);
-  analyse_into(all.poses, record.tolerances, result, fit);
+  analyse_into(all.poses, record.tolerances, record.u_up, result, fit);
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   add_voltmeter(record.tolerances, result);
   return result;

@@ -21,6 +21,8 @@ struct Pose {
   Message name;             ///< "experiment 1, alpha = 5 degrees"; empty: its place in the order.
   /// Mean signs with which the hysteresis acts (ArrivalSigns); absent: those of the changes of the readings.
   std::optional<Eigen::Vector3d> sign{};
+  /// Direction of the specific force in the axes of the mount, of length 1; absent: not known.
+  std::optional<Eigen::Vector3d> up{};
 };
 
 /// Poses this many robust standard deviations from the unit sphere are left out, at most a quarter of all.
@@ -42,13 +44,19 @@ EffectSizes linear_item(EffectSizes sizes = {});
 /// stated, by more than kNormOutlier of its own; at most a quarter of the poses. NormResult::left_out lists
 /// them with their residuals.
 ///
+/// Where every pose states its direction, two equations more for each direction make three unknowns more, the
+/// turn of the item in its mount, and the result has the sensitivity matrix. Five directions are enough. The
+/// standard uncertainty of the directions is `u_up`, else the residuals give it, apart from that of the norm.
+/// A direction that is kNormOutlier robust standard deviations off makes the result doubtful, and is named.
+///
 /// Fewer than nine poses need `sizes.orthogonality`: three equations more, of the angles between the axes.
 /// Results are in R/g_loc. sphere_coverage is three times the smallest eigenvalue of the directions' scatter
 /// matrix (1: even); coverage_words names the largest cap without a pose where it is wider than 60 degrees in
 /// radius.
 /// @throws UnusableData a reading or uncertainty that is not finite
 /// Too few poses, or poses that do not determine the unknowns, give Verdict::kNotUsable and the reason.
-CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes = linear_item());
+CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes = linear_item(),
+                               std::optional<Angle> u_up = {});
 
 /// A solved norm fit, for studies of it. Readings are shifted by `centre` and divided by `size` (R).
 struct NormFit {
@@ -59,6 +67,8 @@ struct NormFit {
   double size = 1.0;
   /// Degrees of freedom of the poses' common variance, where the residuals gave it; infinite: it is stated.
   double scatter_degrees = std::numeric_limits<double>::infinity();
+  /// The same of the directions' variance.
+  double turn_degrees = std::numeric_limits<double>::infinity();
 };
 
 /// Every dwell of a record as a pose (closing angles and check poses too: they are poses like any other),

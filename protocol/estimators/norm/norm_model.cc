@@ -3,14 +3,17 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <map>
 #include <numbers>
 
 #include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/linear/cholesky.h"
 #include "protocol/linear/lu.h"
@@ -73,6 +76,22 @@ Basic start(std::span<const NormPose> poses) {
   return x;
 }
 
+/// Poses of one stated direction.
+struct StatedDirection {
+  Eigen::Matrix<double, 3, 2> across;  ///< Two axes across it, of length 1.
+  std::vector<std::size_t> poses;
+};
+
+/// Degrees of freedom of a variance of some rows that their residuals give: with H their block of the hat
+/// matrix, twice the squared mean of that estimate over its variance.
+/// @param weighted  the rows; fitted: their product with the cofactor
+double degrees_of_rows(const MatrixView& weighted, const MatrixView& fitted, double redundancy) {
+  const Eigen::MatrixXd hat = transposed_product(fitted, weighted);
+  const double squares =
+      2.0 * redundancy - static_cast<double>(weighted.rows()) + hat.cwiseProduct(hat.transpose()).sum();
+  return redundancy * redundancy / std::max(squares, 1e-12);
+}
+
 class NormProblem {
  public:
   NormProblem(std::span<const NormPose> poses, const NormModel& model) : poses_(poses), model_(model) {
@@ -83,6 +102,22 @@ class NormProblem {
     }
     own_ = static_cast<Eigen::Index>(effects_.size());
     count_ = kBasic + 3 * own_;
+    if (poses.empty() ||
+        !std::ranges::all_of(poses, [](const NormPose& pose) { return pose.up.has_value(); }))
+      return;
+    constexpr double kSame = 1e-9;  // Directions nearer than this are one.
+    std::map<std::array<long long, 3>, std::size_t> known;
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      const Eigen::Vector3d& up = *poses[i].up;
+      std::array<long long, 3> key{};
+      for (std::size_t k = 0; k < 3; ++k) key[k] = std::llround(up(static_cast<Eigen::Index>(k)) / kSame);
+      const auto [place, is_new] = known.try_emplace(key, directions_.size());
+      if (is_new) {
+        const Eigen::Vector3d first = up.unitOrthogonal();
+        directions_.emplace_back().across << first, up.cross(first);
+      }
+      directions_[place->second].poses.push_back(i);
+    }
   }
 
   NormSolution solve(const Eigen::VectorXd& from) {
@@ -90,18 +125,23 @@ class NormProblem {
     const auto n = static_cast<Eigen::Index>(poses_.size());
     out.unknowns = from.size() == count_ ? from : Eigen::VectorXd::Zero(count_);
     if (from.size() != count_)
-      out.unknowns.head<kBasic>() = from.size() > 0 ? Basic(from.head<kBasic>()) : start(poses_);
-    jacobian_.resize(n, count_);
+      out.unknowns.head<kBasic>() = from.size() > 0 ? Basic(from.head<kBasic>())
+                                    : is_directed() ? Basic::Zero()
+                                                    : start(poses_);
+    if (is_directed()) start_along_directions(out);
+    const Eigen::Index rows = n + 2 * static_cast<Eigen::Index>(directions_.size());
+    jacobian_.resize(rows, columns());
     by_reading_.resize(n, 3);
-    out.residual.resize(n);
-    out.variance.resize(n);
+    residual_.resize(rows);
+    variance_.resize(rows);
     out.direction.resize(poses_.size());
     bool converged = false;
     for (int iteration = 0; iteration < 50 && !converged; ++iteration) {
       evaluate(out);
       const Eigen::VectorXd change = step(out);
       if (iteration == 0 && !(reciprocal_condition(out) > kSingular)) throw undetermined(poses_.size());
-      out.unknowns += change;
+      out.unknowns += change.head(count_);
+      if (is_directed()) turn_by(change.tail<3>(), out.orientation->turn);
       if (!out.unknowns.allFinite()) break;
       const double size = out.unknowns.head<kBasic>().norm();
       converged = change.norm() <= 1e-13 * size * std::sqrt(static_cast<double>(kBasic)) ||
@@ -120,7 +160,32 @@ class NormProblem {
     double prior;
   };
 
+  bool is_directed() const { return !directions_.empty(); }
+  /// Columns of the design: the unknowns, then the turn of the mount.
+  Eigen::Index columns() const { return count_ + (is_directed() ? 3 : 0); }
   Eigen::Index column(int output, Eigen::Index own) const { return kBasic + own_ * output + own; }
+
+  static void turn_by(const Eigen::Vector3d& angles, Eigen::Matrix3d& turn) {
+    if (const double size = angles.norm(); size > 0.0)
+      turn = Eigen::AngleAxisd(size, angles / size).toRotationMatrix() * turn;
+  }
+
+  /// B, O and the turn of the linear solution.
+  void start_along_directions(NormSolution& at) const {
+    std::vector<Eigen::Vector3d> ups, readings;
+    for (const NormPose& pose : poses_) {
+      ups.push_back(*pose.up);
+      readings.push_back(pose.reading);
+    }
+    const KnownAcsFit line = linear_fit_given_acs(ups, readings);
+    const Eigen::Matrix3d& s = line.sensitivity_matrix;
+    const Eigen::LLT<Eigen::Matrix3d> llt(Eigen::Matrix3d(s * s.transpose()).inverse());
+    if (llt.info() != Eigen::Success) throw undetermined(poses_.size());
+    const Eigen::Matrix3d b = llt.matrixU();
+    for (std::size_t i = 0; i < 6; ++i) at.unknowns(static_cast<Eigen::Index>(i)) = b(kRow[i], kColumn[i]);
+    at.unknowns.segment<3>(6) = line.offset;
+    at.orientation.emplace().turn = (b * s).transpose();
+  }
 
   /// Linear response y, the reading z without the effects of the item: z = y + effects(y).
   struct Linear {
@@ -156,6 +221,12 @@ class NormProblem {
     const Eigen::Matrix3d b = upper(at.unknowns);
     const Eigen::Matrix3d s = b.triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
     const Eigen::Vector3d unit = s.rowwise().norm();
+    const Eigen::Index across = 2 * static_cast<Eigen::Index>(directions_.size());
+    jacobian_.bottomRows(across).setZero();
+    residual_.tail(across).setZero();
+    variance_.tail(across).setConstant(model_.turn_variance > 0.0 ? model_.turn_variance : 1.0);
+    by_reading_across_.assign(is_directed() ? poses_.size() : 0, {});
+    std::vector<Linear> linears(is_directed() ? poses_.size() : 0);
     for (std::size_t i = 0; i < poses_.size(); ++i) {
       const auto row = static_cast<Eigen::Index>(i);
       const NormPose& pose = poses_[i];
@@ -168,16 +239,57 @@ class NormProblem {
       const Eigen::Vector3d by_linear = b.transpose() * e;
       const Eigen::Vector3d gradient = by_linear.cwiseQuotient(linear.slope);  // d norm / d reading
       at.direction[i] = e;
-      at.residual(row) = norm - 1.0;
-      at.variance(row) = pose.u ? gradient.cwiseProduct(*pose.u).squaredNorm() + model_.common_variance
-                                : (model_.common_variance > 0.0 ? model_.common_variance : 1.0);
+      residual_(row) = norm - 1.0;
+      variance_(row) =
+          pose.u ? gradient.cwiseProduct(*pose.u).squaredNorm() + model_.common_variance
+                 : (model_.common_variance > 0.0 ? model_.common_variance / model_.norm_weight : 1.0);
       by_reading_.row(row) = gradient.transpose();
-      for (std::size_t k = 0; k < 6; ++k)
-        jacobian_(row, static_cast<Eigen::Index>(k)) = e(kRow[k]) * l(kColumn[k]);
-      jacobian_.row(row).segment<3>(6) = -gradient.transpose();
-      for (int j = 0; j < 3; ++j) {
-        for (Eigen::Index k = 0; k < own_; ++k)
-          jacobian_(row, column(j, k)) = -gradient(j) * unit(j) * linear.share(j, k);
+      jacobian_.row(row).setZero();
+      add_to_row(row, 1.0, e, gradient, l, unit, linear.share);
+      if (is_directed()) linears[i] = linear;
+    }
+    evaluate_across(at, b, unit, linears);
+    const auto n = static_cast<Eigen::Index>(poses_.size());
+    at.residual = residual_.head(n);
+    at.variance = variance_.head(n);
+  }
+
+  /// Adds `part` of the derivatives of the component of B (l - O) along `along`.
+  /// @param gradient  its derivatives by the readings
+  template <class Share>
+  void add_to_row(Eigen::Index row, double part, const Eigen::Vector3d& along,
+                  const Eigen::Vector3d& gradient, const Eigen::Vector3d& l, const Eigen::Vector3d& unit,
+                  const Share& share) {
+    for (std::size_t k = 0; k < 6; ++k)
+      jacobian_(row, static_cast<Eigen::Index>(k)) += part * along(kRow[k]) * l(kColumn[k]);
+    jacobian_.row(row).segment<3>(6) -= part * gradient.transpose();
+    for (int j = 0; j < 3; ++j) {
+      for (Eigen::Index k = 0; k < own_; ++k)
+        jacobian_(row, column(j, k)) -= part * gradient(j) * unit(j) * share(j, k);
+    }
+  }
+
+  /// The rows of the stated directions: the mean over the poses of a direction of what is across it.
+  void evaluate_across(const NormSolution& at, const Eigen::Matrix3d& b, const Eigen::Vector3d& unit,
+                       const std::vector<Linear>& linears) {
+    auto row = static_cast<Eigen::Index>(poses_.size());
+    for (const StatedDirection& direction : directions_) {
+      const double part = 1.0 / static_cast<double>(direction.poses.size());
+      for (Eigen::Index k = 0; k < 2; ++k, ++row) {
+        const Eigen::Vector3d axis = direction.across.col(k);
+        const Eigen::Vector3d along = at.orientation->turn.transpose() * axis;
+        for (const std::size_t i : direction.poses) {
+          const Eigen::Vector3d l = linears[i].y.cwiseProduct(unit);
+          const Eigen::Vector3d a = b * l;
+          const Eigen::Vector3d by_linear = b.transpose() * along;
+          const Eigen::Vector3d gradient = by_linear.cwiseQuotient(linears[i].slope);
+          residual_(row) += part * along.dot(a);
+          if (poses_[i].u) variance_(row) += part * part * gradient.cwiseProduct(*poses_[i].u).squaredNorm();
+          by_reading_across_[i].row(k) = part * gradient.transpose();
+          add_to_row(row, part, along, gradient, l, unit, linears[i].share);
+          const Eigen::Vector3d by_turn = (at.orientation->turn * a).cross(axis);
+          jacobian_.row(row).segment<3>(count_) += part * by_turn.transpose();
+        }
       }
     }
   }
@@ -186,7 +298,7 @@ class NormProblem {
   void orthogonality(const Eigen::VectorXd& x, Eigen::Vector3d& value, Eigen::MatrixXd& by_unknown) const {
     const Eigen::Matrix3d s = upper(x).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
     value = (intrinsic_properties(s).angle_deg.array() - 90.0) / kDegrees;
-    by_unknown = Eigen::MatrixXd::Zero(3, count_);
+    by_unknown = Eigen::MatrixXd::Zero(3, columns());
     by_unknown.leftCols<6>() =
         product(intrinsic_jacobian(s).middleRows<3>(3), by_b(s).leftCols<6>()) / kDegrees;
   }
@@ -205,9 +317,9 @@ class NormProblem {
 
   /// One Gauss-Newton step by the normal equations, columns scaled.
   Eigen::VectorXd step(NormSolution& at) {
-    const Eigen::VectorXd root = at.variance.cwiseSqrt().cwiseInverse();
+    const Eigen::VectorXd root = variance_.cwiseSqrt().cwiseInverse();
     weighted_ = scaled_rows(root, jacobian_);
-    const Eigen::VectorXd left = -root.cwiseProduct(at.residual);
+    const Eigen::VectorXd left = -root.cwiseProduct(residual_);
     Eigen::MatrixXd normal = lower_of_products_of_columns(weighted_);
     Eigen::VectorXd right = transposed_product_with_vector(weighted_, left);
     at.weighted_squares = left.squaredNorm();
@@ -236,19 +348,22 @@ class NormProblem {
     return scale_.cwiseProduct(factor_.solve_vector(scale_.cwiseProduct(right)));
   }
 
-  /// Condition for the nine unknowns, from poses and prior of the axes; the effects have priors of their own.
+  /// Condition for the nine unknowns and the turn of the mount, from poses and prior of the axes; the effects
+  /// have priors of their own.
   double reciprocal_condition(const NormSolution& at) const {
     const Eigen::Index angles = model_.orthogonality > 0.0 ? 3 : 0;
-    Eigen::MatrixXd design = Eigen::MatrixXd::Zero(jacobian_.rows() + angles, kBasic);
-    design.topRows(jacobian_.rows()) = weighted_.leftCols<kBasic>();
+    const Eigen::Index turns = columns() - count_;
+    Eigen::MatrixXd design = Eigen::MatrixXd::Zero(jacobian_.rows() + angles, kBasic + turns);
+    design.topLeftCorner(jacobian_.rows(), kBasic) = weighted_.leftCols<kBasic>();
+    design.topRightCorner(jacobian_.rows(), turns) = weighted_.rightCols(turns);
     if (angles > 0) {
       Eigen::Vector3d value;
       Eigen::MatrixXd by_unknown;
       orthogonality(at.unknowns, value, by_unknown);
-      design.bottomRows(3) = by_unknown.leftCols<kBasic>() / model_.orthogonality;
+      design.bottomLeftCorner(3, kBasic) = by_unknown.leftCols<kBasic>() / model_.orthogonality;
     }
-    if (design.rows() < kBasic) return 0.0;
-    const Basic scale = design.colwise().norm().cwiseInverse();
+    if (design.rows() < design.cols()) return 0.0;
+    const Eigen::VectorXd scale = design.colwise().norm().cwiseInverse();
     return PivotedQr(scaled_columns(design, scale)).reciprocal_condition();
   }
 
@@ -314,17 +429,28 @@ class NormProblem {
   void finish(NormSolution& out) const {
     out.cofactor = scaled_on_both_sides(factor_.inverse(), scale_);
     out.reciprocal_condition = reciprocal_condition(out);
+    const auto n = static_cast<Eigen::Index>(poses_.size());
     const Eigen::MatrixXd fitted = product(weighted_, out.cofactor);
-    const Eigen::Index pairs = weighted_.rows() - 1;
-    out.redundancy = static_cast<double>(weighted_.rows()) - fitted.cwiseProduct(weighted_).sum();
-    out.successive_products = -fitted.topRows(pairs).cwiseProduct(weighted_.bottomRows(pairs)).sum();
-    out.free_share = 1.0 - fitted.cwiseProduct(weighted_).rowwise().sum().array();
-    const Eigen::MatrixXd hat = transposed_product(fitted, weighted_);  // W' W C: its powers have H's traces.
-    // Student's t has no value below one degree: round-off must not make that of ten poses smaller.
-    constexpr double kRoundOff = 1e-9;
-    out.scatter_degrees = 2.0 * out.redundancy - static_cast<double>(weighted_.rows()) +
-                          hat.cwiseProduct(hat.transpose()).sum() + kRoundOff;
+    const Eigen::VectorXd free = 1.0 - fitted.cwiseProduct(weighted_).rowwise().sum().array();
+    out.free_share = free.head(n);
+    out.redundancy = out.free_share.sum();
+    out.successive_products =
+        -fitted.topRows(n - 1).cwiseProduct(weighted_.topRows(n).bottomRows(n - 1)).sum();
     Line line = line_at(out.unknowns);
+    std::vector<NormEffectShare> of_line;
+    if (is_directed()) {
+      out.scatter_degrees = degrees_of_rows(weighted_.topRows(n), fitted.topRows(n), out.redundancy);
+      turn_line(out.orientation->turn, line);
+      finish_orientation(line, fitted, free, out);
+      of_line = shares_of(out, product(line.by_unknown.topRows<9>(), out.cofactor));
+    } else {
+      const Eigen::MatrixXd hat =
+          transposed_product(fitted, weighted_);  // W' W C: its powers have H's traces.
+      // Student's t has no value below one degree: round-off must not make that of ten poses smaller.
+      constexpr double kRoundOff = 1e-9;
+      out.scatter_degrees =
+          2.0 * out.redundancy - static_cast<double>(n) + hat.cwiseProduct(hat.transpose()).sum() + kRoundOff;
+    }
     out.line_sensitivity = line.sensitivity;
     out.line_offset = line.offset;
     out.intrinsic = line.intrinsic();
@@ -333,12 +459,77 @@ class NormProblem {
     out.covariance = carried_covariance(jacobian, out.cofactor);
     const Eigen::MatrixXd by_equation = product(jacobian, out.cofactor);
     out.shares = shares_of(out, by_equation);
-    const Eigen::MatrixXd by_norm =
-        -product_transposed(by_equation, scaled_rows(out.variance.cwiseInverse(), jacobian_));
-    out.covariance_of_poses = product_transposed(scaled_columns(by_norm, out.variance), by_norm);
-    out.gain.resize(9, 3 * jacobian_.rows());
-    for (Eigen::Index i = 0; i < jacobian_.rows(); ++i)
-      out.gain.middleCols<3>(3 * i) = product(by_norm.col(i), by_reading_.row(i));
+    for (std::size_t i = 0; i < of_line.size(); ++i) out.shares[i].of_matrix = of_line[i].variance;
+    const Eigen::MatrixXd by_row =
+        -product_transposed(by_equation, scaled_rows(variance_.cwiseInverse(), jacobian_));
+    out.covariance_of_poses = product_transposed(scaled_columns(by_row, variance_), by_row);
+    out.gain = gain_of(by_row);
+    if (is_directed()) {
+      const Eigen::Matrix<double, 9, 12> by_line = intrinsic_jacobian(out.line_sensitivity);
+      out.covariance = carried_covariance(by_line, out.orientation->covariance);
+      out.covariance_of_poses =
+          carried_covariance(by_line, out.orientation->of_norm + out.orientation->of_turn);
+    }
+  }
+
+  /// Derivatives of outputs by the readings of the poses, from those by the rows of the design.
+  Eigen::MatrixXd gain_of(const Eigen::MatrixXd& by_row) const {
+    const auto n = static_cast<Eigen::Index>(poses_.size());
+    Eigen::MatrixXd gain(by_row.rows(), 3 * n);
+    for (Eigen::Index i = 0; i < n; ++i)
+      gain.middleCols<3>(3 * i) = product(by_row.col(i), by_reading_.row(i));
+    Eigen::Index row = n;
+    for (const StatedDirection& direction : directions_) {
+      for (const std::size_t i : direction.poses)
+        gain.middleCols<3>(3 * static_cast<Eigen::Index>(i)) +=
+            product(by_row.middleCols<2>(row), by_reading_across_[i]);
+      row += 2;
+    }
+    return gain;
+  }
+
+  /// Turns the line response into the axes of the mount, which adds the derivatives by its turn.
+  static void turn_line(const Eigen::Matrix3d& turn, Line& line) {
+    line.sensitivity = line.sensitivity * turn.transpose();
+    line.by_unknown.conservativeResize(12, line.by_unknown.cols() + 3);
+    line.by_unknown.rightCols<3>().setZero();
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      auto three = line.by_unknown.middleRows<3>(3 * j);
+      three = Eigen::MatrixXd(turn * three);
+      const Eigen::Vector3d row = line.sensitivity.row(j).transpose();
+      three.rightCols<3>() = -cross_matrix(row);  // e x s = -s x e
+    }
+  }
+
+  /// @param free  1 less the leverage of each row
+  void finish_orientation(const Line& line, const Eigen::MatrixXd& fitted, const Eigen::VectorXd& free,
+                          NormSolution& out) const {
+    NormOrientation& to = *out.orientation;
+    const auto n = static_cast<Eigen::Index>(poses_.size());
+    const Eigen::Index across = residual_.size() - n;
+    to.residual = residual_.tail(across).reshaped(2, across / 2);
+    for (const StatedDirection& direction : directions_) to.first.push_back(direction.poses.front());
+    to.weighted_squares = residual_.tail(across).cwiseAbs2().cwiseQuotient(variance_.tail(across)).sum();
+    to.redundancy = free.tail(across).sum();
+    to.scatter_degrees =
+        degrees_of_rows(weighted_.bottomRows(across), fitted.bottomRows(across), to.redundancy);
+    const Eigen::MatrixXd by_equation = product(line.by_unknown, out.cofactor);
+    const Eigen::MatrixXd by_row =
+        -product_transposed(by_equation, scaled_rows(variance_.cwiseInverse(), jacobian_));
+    const Eigen::MatrixXd as_weighted = product_transposed(scaled_columns(by_row, variance_), by_row);
+    const Eigen::MatrixXd of_priors = product_transposed(by_equation, line.by_unknown) - as_weighted;
+    to.of_turn = model_.turn_variance * covariance_of_root(by_row.rightCols(across));
+    if (poses_.front().u) {
+      // The weights leave out that the readings are common to the norm and what is across.
+      Eigen::VectorXd u(3 * n);
+      for (Eigen::Index i = 0; i < n; ++i) u.segment<3>(3 * i) = *poses_[static_cast<std::size_t>(i)].u;
+      to.of_norm = covariance_of_root(scaled_columns(gain_of(by_row), u)) +
+                   model_.common_variance * covariance_of_root(by_row.leftCols(n));
+    } else {
+      to.of_norm = model_.common_variance * covariance_of_root(by_row.leftCols(n));
+    }
+    to.covariance = to.of_norm + to.of_turn;
+    if (own_ > 0) to.covariance += of_priors;
   }
 
   /// @param by_equation  derivatives of the outputs by the right side of the normal equations
@@ -365,9 +556,13 @@ class NormProblem {
   const NormModel& model_;
   std::vector<Own> effects_;
   Eigen::Index own_ = 0, count_ = kBasic;
+  std::vector<StatedDirection> directions_;  ///< Empty: none are stated.
+  // A row for the norm of each pose, then two for each stated direction.
   Eigen::MatrixXd jacobian_;
-  Eigen::Matrix<double, Eigen::Dynamic, 3> by_reading_;  ///< Derivatives of the norm.
-  Eigen::MatrixXd weighted_;                             ///< The Jacobian over the standard deviations.
+  Eigen::VectorXd residual_, variance_;
+  Eigen::Matrix<double, Eigen::Dynamic, 3> by_reading_;         ///< Derivatives of the norm.
+  std::vector<Eigen::Matrix<double, 2, 3>> by_reading_across_;  ///< Those of the rows of its direction.
+  Eigen::MatrixXd weighted_;  ///< The Jacobian over the standard deviations.
   Eigen::VectorXd scale_;
   Cholesky factor_;  ///< Cholesky factor of the scaled normal matrix.
 };
@@ -401,6 +596,10 @@ Eigen::Vector3d norm_reading(const NormPose& pose, const Eigen::Vector3d& direct
 
 Eigen::Matrix<double, 9, 1> norm_outputs(const Eigen::VectorXd& unknowns, const NormModel& model) {
   return NormProblem({}, model).line_at(unknowns).intrinsic();
+}
+
+Eigen::Matrix3d norm_line_sensitivity(const Eigen::VectorXd& unknowns, const NormModel& model) {
+  return NormProblem({}, model).line_at(unknowns).sensitivity;
 }
 
 Eigen::Matrix<double, 6, 1> norm_triangle(const Eigen::Matrix<double, 6, 1>& intrinsic) {

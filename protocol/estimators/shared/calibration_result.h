@@ -280,7 +280,13 @@ struct NormEffectShare {
   std::string key;     ///< Key of its size in the bench file.
   Eigen::Matrix<double, 9, 1> variance =
       Eigen::Matrix<double, 9, 1>::Zero();  ///< Squares of R/g_loc, degree, R.
+  /// Variances that it adds to the matrix, row by row; NaN where the result has no matrix.
+  Eigen::Matrix<double, 9, 1> of_matrix =
+      Eigen::Matrix<double, 9, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
 };
+
+/// Key of the stated standard uncertainty of the directions of poses.
+inline constexpr std::string_view kPoseUncertaintyKey = "pose_uncertainty_deg";
 
 /// Results that only the norm estimator gives.
 struct NormResult {
@@ -289,7 +295,9 @@ struct NormResult {
   /// The poses left out: their number among the poses given (from 1), and |a|/g_loc - 1.
   std::vector<std::pair<int, double>> left_out;
   double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
-  double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
+  /// rms of the stated directions about an axis across them; absent: none are stated.
+  std::optional<double> direction_rms_deg{};
+  double sphere_coverage = 0.0;         ///< 0..1: how well the poses cover the sphere.
   Message coverage_words;               ///< The largest gap in the coverage, in words; empty if small.
   std::vector<NormEffectShare> shares;  ///< The part of the variances that is of type B.
 };
@@ -304,8 +312,8 @@ struct CalibrationResult {
   Quantity g_loc;  ///< m/s2; NaN: not known, sensitivities are per g_loc.
   std::string g_loc_source;
 
-  /// R/g_loc, rows u v w, columns x y z of the LGCS at the default orientation. Absent for norm: no
-  /// orientation.
+  /// R/g_loc, rows u v w, columns x y z of the LGCS at the default orientation; for norm of the mount. Absent
+  /// where the directions of its poses are not stated.
   std::optional<std::array<std::array<Quantity, 3>, 3>> sensitivity_matrix;
   std::array<Quantity, 3> offset;                 ///< R
   std::array<Quantity, 3> intrinsic_sensitivity;  ///< R/g_loc

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "app/bench_file/not_real.h"
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/dcc_xml.h"
 #include "app/results/export/constants.h"
@@ -24,6 +25,7 @@ namespace abcal {
 namespace {
 
 using testing::AllOf;
+using testing::Contains;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -219,11 +221,32 @@ TEST_F(MeasurandTest, WhatNobodyReadIsSaidToBeStated) {
   const std::string english = text_of(certificate_page(xml_of(draft(request()))));
   EXPECT_THAT(english, HasSubstr("Identity: Stated by the laboratory, not read from an instrument: "
                                  "Manufacturer, Type, Serial number."));
+  EXPECT_THAT(english, HasSubstr("Serial number: SN-42 (stated, not read)"));
   CertificateRequest asked = request();
   asked.laboratory.file.language = "de";
-  EXPECT_THAT(text_of(certificate_page(xml_of(draft(std::move(asked))))),
-              HasSubstr("Vom Laboratorium angegeben, nicht aus einem Gerät ausgelesen: Hersteller, Typ, "
-                        "Seriennummer."));
+  const Document german = certificate_page(xml_of(draft(std::move(asked))));
+  EXPECT_THAT(
+      text_of(german),
+      AllOf(HasSubstr("Vom Laboratorium angegeben, nicht aus einem Gerät ausgelesen: Hersteller, Typ, "
+                      "Seriennummer."),
+            HasSubstr("Typ: M-3 (nur angegeben)")));
+  // Every page has it in its margin.
+  EXPECT_THAT(german.identification, HasSubstr("Seriennummer SN-42 (nur angegeben)"));
+}
+
+TEST_F(MeasurandTest, TheStatedSerialNumberOfAnInstrumentIsSaidInTheLanguageOfThePage) {
+  CertificateRequest asked = request();
+  asked.laboratory.file.language = "de";
+  RunHeader& header = asked.run.run->header;
+  header.labels["stage.stated_serial_number"] = "77";
+  for (InstrumentIdentity& instrument : header.instruments)
+    if (instrument.role == "stage") {
+      instrument.serial_number.clear();
+      instrument.details += stated_serial_number_words("77");
+    }
+  const std::string page = text_of(certificate_page(xml_of(draft(std::move(asked)))));
+  EXPECT_THAT(page, AllOf(HasSubstr("Seriennummer 77 (angegeben, nicht ausgelesen)"),
+                          Not(HasSubstr("stated by the bench file"))));
 }
 
 // Sizes that nobody stated are named; where the operator states them is no matter of the customer's.
@@ -253,6 +276,21 @@ TEST_F(MeasurandTest, TheMountingIsPrintedWithItsDrawing) {
                            "Direction marks: arrow shows +u", "Fasteners: 4 screws M3",
                            "Tightening torque: 0.6 N m", "Cable: clamped", "[Stated mounting: u, v, w"})
     EXPECT_THAT(page, HasSubstr(fact));
+  asked = request();
+  asked.laboratory.file.language = "de";
+  asked.run.run->header.labels["item.torque"] = "0.6 N m";
+  EXPECT_THAT(text_of(certificate_page(xml_of(draft(std::move(asked))))), HasSubstr("0,6 N m"));
+}
+
+TEST(MountingFigure, HasTheSurfaceAndTheMarksOfTheItem) {
+  const std::string surface = "Reference surface: base plate", marks(60, 'm');
+  const Figure figure =
+      mounting_figure(mounting_matrix("x y z").value(), {"caption", "platter", "up", surface, marks});
+  std::vector<std::string> labels;
+  for (const auto& element : figure.drawing.elements)
+    if (const auto* label = std::get_if<PictureLabel>(&element)) labels.push_back(label->text);
+  EXPECT_THAT(labels, Contains(surface));
+  EXPECT_THAT(labels, Contains(std::string(44, 'm') + "…"));  // The page has it in full.
 }
 
 TEST(MountingFigure, AnArrowPointsWhereTheMountingHasIt) {

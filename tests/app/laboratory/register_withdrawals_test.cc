@@ -254,6 +254,33 @@ TEST_P(RegisterWithdrawalsTest, RecordsAreListedWhenTheirTimeHasPassedAndNothing
   EXPECT_EQ(bad(made), "");
 }
 
+// A record of a day that a later year lacks is kept to the last of February, and on that day too.
+TEST_P(RegisterWithdrawalsTest, ALeapDayIsFollowedByTheLastOfFebruary) {
+  using namespace std::chrono;
+  Register made = with_calibrations();
+  const LoggedIn admin = login(made, "Admin N. N.");
+  made.add_calibration(admin, {"EX-ANGLE-3", "STAGE-1", "Institute", "2026-01-10", "2028-02-29", "", {}},
+                       at(4));
+  const auto noon = [](year_month_day day) { return Clock::UtcTime(sys_days(day).time_since_epoch() + 12h); };
+  const auto kept_until = [&](int years) {
+    made.set_retention(admin, kCalibrationKind, years, at(5));
+    for (const RetainedRecord& record : made.past_retention(noon(year(2200) / 1 / 1)))
+      if (record.name == "EX-ANGLE-3") return record.until;
+    return std::string("for ever");
+  };
+  EXPECT_EQ(kept_until(3), "2031-02-28");
+  EXPECT_EQ(kept_until(4), "2032-02-29");
+  EXPECT_EQ(kept_until(72), "2100-02-28") << "a century without a leap day";
+  made.set_retention(admin, kCalibrationKind, 1, at(5));
+  const auto past = [&](year_month_day day) {
+    std::vector<std::string> names;
+    for (const RetainedRecord& record : made.past_retention(noon(day))) names.push_back(record.name);
+    return names;
+  };
+  EXPECT_THAT(past(2029y / 2 / 28), ElementsAre("EX-ANGLE-1", "EX-ANGLE-2"));
+  EXPECT_THAT(past(2029y / 3 / 1), ElementsAre("EX-ANGLE-1", "EX-ANGLE-2", "EX-ANGLE-3"));
+}
+
 TEST_P(RegisterWithdrawalsTest, ABackupHasWhatWasWithdrawn) {
   Register made = with_calibrations();
   const std::string number = issue(made, request_for(run_on("a", "1")), "Customer A");

@@ -425,6 +425,63 @@ TEST(PlanSearchTest, TheShortestPlanReachesWhatIsWantedAndAShorterDwellDoesNot) 
   EXPECT_LE(worst_ratio(best->u, wanted), 1.01);
 }
 
+/// The duration of circles whose dwells have this number of readings.
+double duration_s(const PlanningBench& planned, ProtocolConfig protocol, int readings) {
+  protocol.dwell_readings = readings;
+  return PlannedCircles(planned, protocol).duration(readings).total_s();
+}
+
+TEST(PlanSearchTest, ATimeIsUsedToTheLastReading) {
+  const PlanningBench planned = bench();
+  const WantedValues wanted = published_wanted();
+  PlanSearch search(planned);
+  const ProtocolConfig best = search.best_within(600.0, wanted).value().protocol;
+  const int readings = best.dwell_readings;
+  const double just_enough_s = duration_s(planned, best, readings);
+  EXPECT_LE(just_enough_s, 600.0);
+  EXPECT_GT(duration_s(planned, best, readings + 1), 600.0);
+  // In just this time too. Other circles have no more readings than before, so that the best ones are the
+  // same.
+  EXPECT_EQ(search.best_within(just_enough_s, wanted).value().protocol, best);
+  EXPECT_EQ(search.best_within(std::nextafter(just_enough_s, 0.0), wanted).value().protocol.dwell_readings,
+            readings - 1);
+}
+
+TEST(PlanSearchTest, TheLeastAndTheMostReadingsAreTheLimitsOfTheSearch) {
+  const PlanningBench planned = bench();
+  const WantedValues wanted = published_wanted();
+  PlanSearch search(planned);
+  double shortest_s = std::numeric_limits<double>::infinity();
+  const auto look_at = [&](int steps, int faces) {
+    const ProtocolConfig protocol = with_circles(planned.config.protocol, steps, faces, kLeastReadings);
+    shortest_s = std::min(shortest_s, duration_s(planned, protocol, kLeastReadings));
+  };
+  for (const int steps : kTriedSteps) look_at(steps, 1);
+  for (const int steps : kTriedInTwoFaces) look_at(steps, 2);
+  EXPECT_EQ(search.best_within(shortest_s, wanted).value().protocol.dwell_readings, kLeastReadings);
+  EXPECT_FALSE(search.best_within(std::nextafter(shortest_s, 0.0), wanted));
+  EXPECT_EQ(search.best_within(1e12, wanted).value().protocol.dwell_readings, kMostReadings);
+}
+
+// The readings are searched to 1 % of the dwell: by Fisher information, times what the analysis states more,
+// with fewer it would not do.
+TEST(PlanSearchTest, TheShortestPlanHasNoMoreReadingsThanItNeeds) {
+  const PlanningBench planned = bench();
+  const WantedValues wanted = published_wanted();
+  const FoundPlan found = PlanSearch(planned).shortest(wanted);
+  ASSERT_TRUE(found.plan);
+  PlannedCircles circles(planned, found.plan->protocol);
+  const auto ratio = [&](int readings) {
+    PlannedValues u = circles.u(readings);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group) u[group] *= found.excess[group];
+    return worst_ratio(u, wanted);
+  };
+  const int readings = found.plan->protocol.dwell_readings;
+  ASSERT_GT(readings, kLeastReadings + 2);
+  EXPECT_LE(ratio(readings), 1.0);
+  EXPECT_GT(ratio(readings - 1 - readings / 100), 1.0);
+}
+
 // The wanted values are just those that the Fisher information promises of 100 readings: the check shows that
 // they do not suffice.
 TEST(PlanSearchTest, APlanThatTheCheckFindsTooShortGetsMoreReadings) {

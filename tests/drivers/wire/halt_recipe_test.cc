@@ -67,7 +67,9 @@ class HaltRecipeTest : public testing::Test {
 
 TEST_F(HaltRecipeTest, StopsUntilTheControllerSaysThatItStands) {
   moving_polls_ = 3;
+  const Clock::Instant begin = clock_.now();
   EXPECT_TRUE(carried_out(recipe_of_lines()));
+  EXPECT_EQ(clock_.now() - begin, 3 * 20ms + 8 * test::kReplyTime) << "between the rounds";
   EXPECT_EQ(line_.count("ST"), 5U) << "one at once, and one in each of four rounds";
   EXPECT_EQ(line_.commands().front(), "!");
 }
@@ -87,6 +89,14 @@ TEST_F(HaltRecipeTest, SilenceIsNoAcknowledgement) {
   EXPECT_GE(line_.count("ST"), 18U) << "again after each second";
 }
 
+TEST_F(HaltRecipeTest, AReplyIsWaitedForASecond) {
+  line_.mishaps["ID?"] = {{.instead = ""}};
+  const Clock::Instant begin = clock_.now();
+  EXPECT_TRUE(carried_out(recipe_of_lines()));
+  EXPECT_EQ(clock_.now() - begin, 1s + 20ms + 2 * test::kReplyTime);
+  EXPECT_EQ(line_.count("ID?"), 2U);
+}
+
 TEST_F(HaltRecipeTest, WithoutAQuestionNothingIsAcknowledged) {
   HaltRecipe recipe = recipe_of_lines();
   recipe.questions.clear();
@@ -98,8 +108,11 @@ TEST_F(HaltRecipeTest, EachOfSeveralDevicesMustSayThatItStands) {
   recipe.questions.back().listen = 100ms;
   line_.mishaps["MD?"] = {
       {.instead = "1\r\n0\r\n1\r\n"}, {.instead = "1\r\n1\r\n0\r\n"}, {.instead = "1\r\n1\r\n"}};
+  const Clock::Instant begin = clock_.now();
   EXPECT_TRUE(carried_out(recipe));
   EXPECT_EQ(line_.count("MD?"), 3U);
+  EXPECT_EQ(clock_.now() - begin, 20ms + 20ms + 100ms + 6 * test::kReplyTime)
+      << "two rounds at once, and nobody else in the third";
 }
 
 TEST_F(HaltRecipeTest, ALineWithoutAnEndIsPassedOver) {

@@ -6,6 +6,7 @@
 
 #include <Eigen/QR>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <optional>
@@ -212,6 +213,131 @@ TEST_F(SweptModelTest, ErrorsOfTheAnglesOfASweepActOnPlacesToo) {
   const Eigen::Index sine_6 = model_->layout().first_sweep() + 2 * 6 - 1;
   const double angle_alone = std::numbers::sqrt2;
   EXPECT_GT(model_->jacobian().col(sine_6).cwiseAbs().maxCoeff(), 3.0 * angle_alone);
+}
+
+/// Sweeps of three circles whose angles lie about the turning points of the responses, not on them: there a
+/// slope is as large as its change within a step. Only the sizes that a test states have a part in the signs.
+class SweptSignsTest : public testing::Test {
+ protected:
+  static constexpr double kFirst = 3.0 / 180.0 * kHalfTurn, kStepRad = 2.0 * kHalfTurn / kBins;
+  static constexpr double kHysteresis = 1e-5;
+
+  void make(double step_rad) {
+    step_rad_ = step_rad;
+    for (int experiment = 1; experiment <= 3; ++experiment) {
+      for (int i = 0; i < kBins; ++i) {
+        EffectReading& reading = readings_.emplace_back();
+        reading.experiment = experiment;
+        reading.sin_alpha = std::sin(angle(i));
+        reading.cos_alpha = std::cos(angle(i));
+        reading.turned_rad = angle(i) - kHalfTurn;
+        for (int j = 0; j < 3; ++j) reading.value(j) = response(experiment, j, angle(i));
+        reading.u.setConstant(1e-5);
+        reading.rate_radps = reading.mean_rate_radps = kHalfTurn;
+        reading.sweep = experiment - 1;
+      }
+    }
+    EffectFitOptions options;
+    options.sizes = with_effects_of_motion(without_further_effects({}));
+    options.sizes.hysteresis = kHysteresis;
+    options.sizes.step = Angle::radians(step_rad);
+    options.sweeps.assign(3, SweepSize{1e-5, 1e-5});
+    model_.emplace(readings_, options);
+    root_ = Eigen::MatrixXd::Zero(model_->layout().count(), model_->layout().count());
+  }
+
+  static double angle(int i) { return kFirst + kStepRad * i; }
+  /// The gravity of the three circles, as an item that stands straight sees it.
+  static double response(int experiment, int output, double alpha) {
+    constexpr std::array<std::array<double, 3>, 3> kOfSine{{{0, 1, 0}, {-1, 0, 0}, {-1, 0, 0}}};
+    constexpr std::array<std::array<double, 3>, 3> kOfCosine{{{0, 0, 1}, {0, 0, 1}, {0, -1, 0}}};
+    const auto row = static_cast<std::size_t>(experiment - 1), column = static_cast<std::size_t>(output);
+    return kOfSine[row][column] * std::sin(alpha) + kOfCosine[row][column] * std::cos(alpha);
+  }
+  static bool responds(int experiment, int output) { return response(experiment, output, 0.7) != 0.0; }
+  /// The mean sign of a change that is normally distributed, and within a step evenly.
+  /// @param sd_s_vy  standard deviation of the sensitivity of v along y
+  double expected_sign(int experiment, int output, int i, double sd_s_vy) const {
+    const auto y = [&](int at) { return response(experiment, output, angle(at)); };
+    const auto slope = [&](int at) { return response(experiment, output, angle(at) + 0.5 * kHalfTurn); };
+    const int from = std::max(0, i - 1), to = std::min(kBins - 1, i + 1);
+    const double change = y(to) - y(from);
+    const double bend = to == from + 2 ? y(i + 1) - 2.0 * y(i) + y(i - 1) : 0.0;
+    const double by_s =
+        output == kV ? response(experiment, kV, angle(to)) - response(experiment, kV, angle(from)) : 0.0;
+    const double variance = std::pow(step_rad_, 2) * (std::pow(slope(from), 2) + std::pow(slope(to), 2)) +
+                            bend * bend / 3.0 + std::pow(sd_s_vy * by_s, 2);
+    return std::erf(change / std::sqrt(2.0 * variance));
+  }
+  double expected_sign(std::size_t n, int output, double sd_s_vy) const {
+    return expected_sign(readings_[n].experiment, output, static_cast<int>(n) % kBins, sd_s_vy);
+  }
+  Eigen::Index s_vy() const { return model_->layout().own_count() + 1; }
+  void expect_signs(double sd_s_vy) const {
+    for (std::size_t n = 0; n < readings_.size(); ++n)
+      for (int j = 0; j < 3; ++j)
+        if (responds(readings_[n].experiment, j)) {
+          EXPECT_NEAR(model_->signs().mean[n](j), expected_sign(n, j, sd_s_vy), 1e-8) << n << " " << j;
+        }
+  }
+
+  static constexpr int kV = 1;
+  std::vector<EffectReading> readings_;
+  std::optional<EffectModel> model_;
+  Eigen::MatrixXd root_;
+  double step_rad_ = 0.0;
+};
+
+TEST_F(SweptSignsTest, AMeanSignIsThatOfTheSlopeWithinItsStep) {
+  make(0.0);
+  ASSERT_TRUE(model_->take_signs(root_));
+  EXPECT_LT(std::abs(expected_sign(1, kV, 9, 0.0)), 0.8) << "near the turning point";
+  expect_signs(0.0);
+}
+
+TEST_F(SweptSignsTest, StepErrorsOfBothNeighboursAreInTheUncertaintyOfTheSlope) {
+  make(0.02);
+  ASSERT_TRUE(model_->take_signs(root_));
+  expect_signs(0.0);
+}
+
+TEST_F(SweptSignsTest, TheUncertaintyOfTheUnknownsIsToo) {
+  make(0.0);
+  root_(s_vy(), s_vy()) = 0.8;
+  for (const Eigen::Index at : model_->hysteresis_unknowns()) root_(at, at) = 3.0 * kHysteresis;
+  ASSERT_TRUE(model_->take_signs(root_));
+  expect_signs(0.8);
+  // Where the hysteresis is less well known than it is stated, its own uncertainty counts.
+  const double of_9 = 1.0 - std::pow(expected_sign(1, kV, 9, 0.8), 2);
+  EXPECT_NEAR(model_->signs().variance[9](kV) / std::pow(3.0 * kHysteresis, 2), of_9, 1e-8);
+  root_.setZero();
+  ASSERT_TRUE(model_->take_signs(root_));
+  const double as_stated = 1.0 - std::pow(expected_sign(1, kV, 9, 0.0), 2);
+  EXPECT_NEAR(model_->signs().variance[9](kV) / std::pow(kHysteresis, 2), as_stated, 1e-8);
+}
+
+TEST_F(SweptSignsTest, SignsThatChangeByLessThanAThousandthAreTheSame) {
+  make(0.0);
+  ASSERT_TRUE(model_->take_signs(root_));
+  const auto largest_change = [&](double sd) {
+    double largest = 0.0;
+    for (std::size_t n = 0; n < readings_.size(); ++n)
+      largest = std::max(largest, std::abs(expected_sign(n, kV, sd) - expected_sign(n, kV, 0.0)));
+    return largest;
+  };
+  const auto sd_of_change = [&](double change) {
+    double less = 0.0, more = 1.0;
+    for (int k = 0; k < 60; ++k)
+      (largest_change(0.5 * (less + more)) < change ? less : more) = 0.5 * (less + more);
+    return less;
+  };
+  root_(s_vy(), s_vy()) = sd_of_change(0.995e-3);
+  EXPECT_FALSE(model_->take_signs(root_));
+  expect_signs(0.0);
+  const double sd = sd_of_change(1.005e-3);
+  root_(s_vy(), s_vy()) = sd;
+  EXPECT_TRUE(model_->take_signs(root_));
+  expect_signs(sd);
 }
 
 }  // namespace

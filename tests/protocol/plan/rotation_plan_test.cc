@@ -7,6 +7,7 @@
 #include <set>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 namespace abcal {
 namespace {
@@ -126,6 +127,41 @@ TEST(RotationPlanTest, AtAConstantRateEachCircleIsSweptUpAndDown) {
   const PlanDuration duration = estimate_duration(plan, config, speed, 100.0);
   EXPECT_GT(duration.dwelling_s, 3.0 * (6.0 + 18.0));
   EXPECT_LT(duration.total_s(), 110.0);
+}
+
+// Up and down in turn, so that each sweep begins where the one before has ended: with an odd number of sweeps
+// experiment 2, about the same axis as experiment 1, goes the other way round. Rates begin again after the
+// last.
+TEST(RotationPlanTest, AtAConstantRateSweepsGoUpAndDownInTurn) {
+  struct Case {
+    std::vector<double> rates;     ///< As the bench file states them.
+    int sweeps;                    ///< In each circle.
+    std::vector<double> expected;  ///< The rate of each sweep of the plan.
+  };
+  const AxisTravel endless{deg(-1000), deg(1000)};
+  for (const Case& each :
+       {Case{{60.0, 20.0}, 1, {60.0, -60.0, 60.0}},
+        Case{{60.0, 20.0}, 2, {60.0, -20.0, 60.0, -20.0, 60.0, -20.0}},
+        Case{{60.0, 20.0}, 3, {60.0, -20.0, 60.0, -60.0, 20.0, -60.0, 60.0, -20.0, 60.0}},
+        Case{{60.0, 30.0, 20.0},
+             4,
+             {60.0, -30.0, 20.0, -60.0, 60.0, -30.0, 20.0, -60.0, 60.0, -30.0, 20.0, -60.0}}}) {
+    ProtocolConfig config = at_constant_rate();
+    config.rate_deg_per_s = each.rates;
+    config.sweeps = each.sweeps;
+    const auto plan = make_rotation_plan(config, {endless, endless});
+    ASSERT_EQ(plan.size(), 36U * each.expected.size());
+    for (std::size_t k = 0; k < plan.size(); ++k) {
+      const std::size_t number = k / 36;
+      const double rate = each.expected[number];
+      EXPECT_EQ(plan[k].experiment, static_cast<int>(number) / each.sweeps + 1);
+      EXPECT_EQ(plan[k].sweep, static_cast<int>(number) % each.sweeps + 1);
+      EXPECT_EQ(plan[k].rate_deg_per_s, rate) << each.sweeps << " sweeps, angle " << k;
+      const std::size_t from_first = rate > 0.0 ? k % 36 : 35 - k % 36;
+      EXPECT_EQ(plan[k].n, static_cast<int>(from_first) + 1);
+      EXPECT_EQ(plan[k].turning(), deg(10.0 * static_cast<double>(from_first)));
+    }
+  }
 }
 
 TEST(RotationPlanTest, AtAConstantRateStopsAreEvenlySpaced) {

@@ -31,6 +31,42 @@ TEST_F(MotionTest, ComesFromBelowWhereTheTargetIsLower) {
                           Pair(StageAxis::kX, Angle::degrees(30))));
 }
 
+// The window of the position belongs to the target: an axis may stand above it by as much.
+TEST_F(MotionTest, ComesFromBelowUnlessTheTargetIsAboveTheAxisByTheWindow) {
+  const Angle window = settings.protocol.position_window;
+  x().encoder = Angle::degrees(20);
+  motion().move_to(StageAxis::kX, x().encoder + window);
+  EXPECT_EQ(stage.moves.size(), 1U);
+  stage.moves.clear();
+  x().encoder = Angle::degrees(20);
+  const Angle just_below = Angle::degrees(20.0 + window.deg() - 1e-9);
+  motion().move_to(StageAxis::kX, just_below);
+  EXPECT_THAT(stage.moves, ElementsAre(Pair(StageAxis::kX, just_below - settings.protocol.approach),
+                                       Pair(StageAxis::kX, just_below)));
+}
+
+TEST_F(MotionTest, WithoutAnApproachEachAngleIsReachedAtOnce) {
+  settings.protocol.approach = Angle{};
+  x().encoder = Angle::degrees(50);
+  motion().move_to(StageAxis::kX, Angle::degrees(20));
+  EXPECT_THAT(stage.moves, ElementsAre(Pair(StageAxis::kX, Angle::degrees(20))));
+}
+
+// Below the target it needs to be found once, and within half of the approach.
+TEST_F(MotionTest, TheApproachItselfIsNotMeasured) {
+  x().encoder = Angle::degrees(50);
+  const Clock::Instant begin = clock.now();
+  motion().move_to(StageAxis::kX, Angle::degrees(20));
+  const int polls = 2 + settings.protocol.window_polls - 1;  // Each move is seen under way once.
+  EXPECT_NEAR(to_seconds(clock.now() - begin), polls * settings.protocol.poll_interval_s, 1e-9);
+  const auto failed_at = [&](double error_deg) {
+    x() = {.encoder = Angle::degrees(50), .error = Angle::degrees(error_deg)};
+    return failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); }).second;
+  };
+  EXPECT_THAT(failed_at(0.4999), HasSubstr("commanded 20.0"));
+  EXPECT_THAT(failed_at(0.5001), HasSubstr("commanded 19.0"));
+}
+
 TEST_F(MotionTest, LeavesAnAxisWhereItStandsUntilItsPositionIsForgotten) {
   Motion axes = motion();
   EXPECT_TRUE(axes.move_to(StageAxis::kX, Angle::degrees(20)));
@@ -54,10 +90,13 @@ TEST_F(MotionTest, TheArrivalIsWhenItWasFirstFoundInside) {
 
 TEST_F(MotionTest, AnAxisOutsideTheWindowEndsItWithFoundAndRequired) {
   x().error = Angle::degrees(0.05);
+  const Clock::Instant begin = clock.now();
   const auto [fault, words] = failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); });
   EXPECT_EQ(fault, Fault::kStalled);
   EXPECT_THAT(words, AllOf(HasSubstr("axis X stopped at 20.05"), HasSubstr("commanded 20.0"),
                            HasSubstr("required: within 0.01 deg")));
+  // Found stopped by the second poll, and a poll after more than a second later.
+  EXPECT_NEAR(to_seconds(clock.now() - begin), 0.01 + 1.01, 1e-9);
 }
 
 TEST_F(MotionTest, WholeTurnsBetweenCommandAndEncoderAreCalledSo) {
@@ -102,8 +141,8 @@ TEST_F(MotionTest, AnAxisThatNeverStopsEndsItAfterItsTime) {
   const auto [fault, words] = failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); });
   EXPECT_EQ(fault, Fault::kStalled);
   EXPECT_THAT(words, HasSubstr("still moving"));
-  // 20 deg at 10 deg/s, and 5 s.
-  EXPECT_NEAR(to_seconds(clock.now() - begin), 7.0, 0.05);
+  // 20 deg at 10 deg/s, and 5 s; the next poll is later.
+  EXPECT_NEAR(to_seconds(clock.now() - begin), 7.01, 1e-9);
 }
 
 TEST_F(MotionTest, HomingEndsWhenTheReferenceIsFoundOrSaysThatItIsNot) {

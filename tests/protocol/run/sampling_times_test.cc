@@ -3,10 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <numbers>
 #include <random>
 #include <span>
 #include <vector>
@@ -189,6 +191,28 @@ TEST(SamplingClockTest, WhatWasBeforeAGapOrAChangeHasNoPart) {
   EXPECT_NEAR(errors[3].mean_us + 2e3, 30e3, 1.0);
   EXPECT_NEAR(errors[5].mean_us + 2e3, 30e3, 1.0);
   for (const TimeErrors& each : errors) EXPECT_NEAR(each.slope_us, 0.0, 1.0);
+}
+
+// One reading of each second is late by less than all others. Their lines from one to another lean to either
+// side in pairs, so that the median of all is level; half of them are within 5 us of it. The line is best
+// known in the middle of the eleven seconds.
+TEST(SamplingClockTest, ItsUncertaintyIsThatOfAMedianLine) {
+  constexpr std::array<double, 11> kLateUs{0.0, 5.0, -5.0, 9.0, -9.0, 0.0, -9.0, 9.0, -5.0, 5.0, 0.0};
+  const auto readings = late_readings(
+      1100, 100.0, 0.0, [&](std::size_t k) { return k % 100 == 50 ? 1e-6 * kLateUs[k / 100] : 1e-3; });
+  const double u_middle = std::sqrt(std::numbers::pi / 2.0) * 1.4826 * 5e-6 / std::sqrt(11.0);
+  for (const std::size_t before : {0U, 300U, 700U}) {
+    const auto sweep = std::span<const Reading>(readings).subspan(before);
+    SamplingClock clock;
+    clock.hear(std::span<const Reading>(readings).first(before));
+    clock.hear(sweep);
+    const auto placed = clock.times_of(sweep);
+    ASSERT_TRUE(placed);
+    EXPECT_EQ(placed->times.period, 10ms);
+    EXPECT_EQ(placed->times.of(700), kBegin);
+    const double off = 0.5 * static_cast<double>(before) / 1099.0;  // The middle, as part of the whole.
+    EXPECT_NEAR(placed->u_s, u_middle * std::sqrt(1.0 + 12.0 * off * off), 1e-4 * u_middle) << before;
+  }
 }
 
 TEST(SamplingClockTest, ReadingsThatFollowNoLineHaveNone) {

@@ -61,8 +61,11 @@ TEST(SweepAngleTest, ItsUncertaintyFollowsTheScatterOfTheSamples) {
 }
 
 TEST(SweepAngleTest, NeedsSamples) {
-  const std::vector<AngleAtTime> few(20, {0.0, 0.0});
-  EXPECT_FALSE(fit_sweep_angle(few));
+  std::vector<AngleAtTime> samples = rippled_samples(0.0);
+  samples.resize(24);
+  EXPECT_TRUE(fit_sweep_angle(samples));
+  samples.resize(23);
+  EXPECT_FALSE(fit_sweep_angle(samples));
   EXPECT_FALSE(fit_sweep_angle(std::vector<AngleAtTime>(30, {1.0, 0.0})));
 }
 

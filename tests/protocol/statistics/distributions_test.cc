@@ -37,6 +37,9 @@ TEST(StudentTest, ManyDegreesAreNormalAndNoneIsNothing) {
   EXPECT_NEAR(student_t_above(0.025, 2e7), normal_quantile(0.975), 1e-14);
   EXPECT_NEAR(student_t_above(0.025, kInfinity), normal_quantile(0.975), 1e-14);
   EXPECT_NEAR(student_t_above(0.025, 0.9e7), normal_quantile(0.975), 1e-6);
+  // z (z2 + 1) / (4 nu) more than normal up to 1e7 degrees, and exactly that beyond.
+  EXPECT_NEAR(student_t_above(0.025, 1e7) - normal_quantile(0.975), 2.37e-7, 1e-8);
+  EXPECT_EQ(student_t_above(0.025, std::nextafter(1e7, kInfinity)), student_t_above(0.025, kInfinity));
   EXPECT_NEAR(student_t_tail(2.0, kInfinity), normal_tail(2.0), 0.0);
   for (const double degrees : {0.5, 0.0, -1.0, std::nan("")})
     EXPECT_TRUE(std::isnan(student_t_above(0.025, degrees)));
@@ -60,6 +63,17 @@ TEST(Chi2Test, TwoDegreesAreExponential) {
   }
   EXPECT_NEAR(chi2_quantile(0.95, 2.0), -2.0 * std::log(0.05), 1e-13);
   EXPECT_NEAR(chi2_tail(1.96 * 1.96, 1), 2.0 * normal_tail(1.96), 1e-15);
+}
+
+TEST(Chi2Test, TheLowerTailKeepsItsDigits) {
+  for (const double p : {0.5, 1e-3, 1e-20})
+    EXPECT_NEAR(chi2_lower_tail(-2.0 * std::log1p(-p), 2) / p, 1.0, 1e-13) << p;
+  EXPECT_NEAR(chi2_lower_tail(1.96 * 1.96, 1), 1.0 - 2.0 * normal_tail(1.96), 1e-15);
+  EXPECT_EQ(chi2_lower_tail(0.0, 3), 0.0);
+  EXPECT_EQ(chi2_lower_tail(kInfinity, 3), 1.0);
+  EXPECT_TRUE(std::isnan(chi2_lower_tail(1.0, 0)));
+  EXPECT_TRUE(std::isnan(chi2_lower_tail(-1.0, 3)));
+  EXPECT_TRUE(std::isnan(chi2_lower_tail(std::nan(""), 3)));
 }
 
 TEST(Chi2Test, WithoutDegreesOrNumberItIsNotKnown) {

@@ -2,9 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <random>
 #include <stdexcept>
+#include <vector>
 
 namespace abcal {
 namespace {
@@ -201,6 +203,119 @@ TEST(TemperatureFitTest, AStageThatOnlyScattersDoesNot) {
 TEST(TemperatureFitTest, WithoutAStageNothingIsSaidOfIt) {
   std::mt19937_64 random(7);
   EXPECT_TRUE(fit_temperature(made_points(random), 23.0, "g").stage.empty());
+}
+
+/// Points whose outputs are all the same function of d = T - 23, with the same own uncertainty and without a
+/// shared one.
+template <class Function>
+std::vector<TemperaturePoint> exact_points(const std::vector<double>& d, const Function& value, double own) {
+  std::vector<TemperaturePoint> points;
+  for (const double each : d) {
+    TemperaturePoint& point = points.emplace_back();
+    point.number = static_cast<int>(points.size());
+    point.set_degc = point.temperature_degc = 23.0 + each;
+    for (double& one : point.value) one = value(each);
+    point.own = Covariance9::Identity() * own * own;
+    point.shared = Covariance9::Zero();
+  }
+  return points;
+}
+const std::vector<double> kSevenD{-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0};
+
+// chi2 of the constant is S_1 / u2 for a straight line of slope 1, with S_1 = sum d2 = 2800; 3.841 is the 95
+// % quantile of chi2 with one degree of freedom.
+TEST(TemperatureFitTest, ASlopeIsTakenWhereItIsSignificant) {
+  const auto order_at = [](double chi2) {
+    const double slope = 1e-6 * std::sqrt(chi2 / 2800.0);
+    const auto points = exact_points(
+        kSevenD, [&](double d) { return 1.0 + slope * d; }, 1e-6);
+    const TemperaturePolynomial found = fit_temperature(points, 23.0, "g").polynomials[0];
+    EXPECT_NEAR(found.likelihood_ratio.at(0), chi2, 1e-4);
+    return found.order;
+  };
+  EXPECT_EQ(order_at(3.83), 0);
+  EXPECT_EQ(order_at(3.85), 1);
+}
+
+// A bend without a slope: d2 less its mean, 400, is orthogonal to both lower orders, with a sum of squares of
+// 840 000. 5.991 is the quantile for two degrees of freedom.
+TEST(TemperatureFitTest, ABendWithoutASlopeIsTakenWhereItIsSignificant) {
+  const auto found_at = [](double chi2) {
+    const double bend = 1e-6 * std::sqrt(chi2 / 840'000.0);
+    const auto points = exact_points(
+        kSevenD, [&](double d) { return 1.0 + bend * (d * d - 400.0); }, 1e-6);
+    return fit_temperature(points, 23.0, "g").polynomials[0];
+  };
+  EXPECT_EQ(found_at(5.98).order, 0);
+  EXPECT_EQ(found_at(5.98).likelihood_ratio.size(), 1U);
+  const TemperaturePolynomial bent = found_at(6.00);
+  EXPECT_EQ(bent.order, 2);
+  ASSERT_EQ(bent.likelihood_ratio.size(), 3U)
+      << "the step that was too small, the one after it, and the next";
+  EXPECT_NEAR(bent.likelihood_ratio[0], 0.0, 1e-4);
+  EXPECT_NEAR(bent.likelihood_ratio[1], 6.00, 1e-4);
+}
+
+TEST(TemperatureFitTest, TemperaturesTwoKelvinApartAreOne) {
+  const auto at = [](double apart) {
+    const std::vector<double> d{0.0, apart, 2.0 * apart, 0.0, apart, 2.0 * apart};
+    return exact_points(
+        d, [](double x) { return 1.0 + 1e-3 * x; }, 1e-6);
+  };
+  // The third differs from the first by more than two kelvins in either case.
+  EXPECT_THROW(fit_temperature(exact_points(
+                                   {0.0, 2.0}, [](double) { return 1.0; }, 1e-6),
+                               23.0, "g"),
+               std::invalid_argument);
+  EXPECT_NO_THROW(fit_temperature(exact_points(
+                                      {0.0, 2.001}, [](double) { return 1.0; }, 1e-6),
+                                  23.0, "g"));
+  EXPECT_EQ(fit_temperature(at(2.0), 23.0, "g").polynomials[0].order, 1);
+  // Three temperatures allow a parabola, two do not: a bend that is far above the noise is taken or not.
+  const auto order_of_bend = [](double apart) {
+    const std::vector<double> d{0.0, apart, 2.0 * apart, 0.0, apart, 2.0 * apart};
+    return fit_temperature(exact_points(
+                               d, [](double x) { return 1.0 + 1e-3 * x * x; }, 1e-9),
+                           23.0, "g")
+        .polynomials[0]
+        .order;
+  };
+  EXPECT_LE(order_of_bend(2.0), 1);
+  EXPECT_EQ(order_of_bend(2.001), 2);
+}
+
+// Within a run the item changes by 6 K at 1e-5 / K: the value belongs to any of these temperatures, with the
+// variance of a rectangular distribution, (6e-5)2 / 12.
+TEST(TemperatureFitTest, AChangeWithinARunIsInTheUncertaintyOfItsPoint) {
+  auto points = exact_points(
+      kSevenD, [](double d) { return 1.0 + 1e-5 * d; }, 1e-5);
+  for (TemperaturePoint& point : points) point.change_k = 6.0;
+  const TemperaturePolynomial found = fit_temperature(points, 23.0, "g").polynomials[0];
+  ASSERT_EQ(found.order, 1);
+  const double variance = 1e-10 + 3.6e-9 / 12.0;
+  EXPECT_NEAR(found.covariance(1, 1) * 2800.0 / variance, 1.0, 1e-9);
+  EXPECT_NEAR(found.covariance(0, 0) * 7.0 / variance, 1.0, 1e-9);
+}
+
+// Scatter beyond the own uncertainties brings chi2 to its degrees of freedom (Paule and Mandel): with equal
+// uncertainties u2 + excess2 is the sum of squares over the degrees of freedom.
+TEST(TemperatureFitTest, TheExcessBringsChi2ToItsDegreesOfFreedom) {
+  constexpr std::array<double, 7> kOff{1.0, -2.0, 3.0, 0.0, -3.0, 2.0, -1.0};
+  const auto points = exact_points(
+      kSevenD,
+      [&](double d) { return 1.0 + 1e-4 * kOff[static_cast<std::size_t>(std::lround(d / 10.0) + 3)]; }, 1e-5);
+  const TemperaturePolynomial found = fit_temperature(points, 23.0, "g").polynomials[0];
+  ASSERT_EQ(found.order, 0);
+  EXPECT_EQ(found.degrees_of_freedom, 6);
+  EXPECT_NEAR(found.chi2, 28e-8 / 1e-10, 1e-3);
+  const double all = 28e-8 / 6.0;
+  EXPECT_NEAR(found.excess / std::sqrt(all - 1e-10), 1.0, 1e-9);
+  EXPECT_NEAR(found.covariance(0, 0) * 7.0 / all, 1.0, 1e-9);
+  EXPECT_NEAR(found.excess_covariance(0, 0) * 7.0 / (all - 1e-10), 1.0, 1e-9);
+  EXPECT_NEAR(found.degrees_of_freedom_of(Eigen::VectorXd::Ones(1)), 6.0 * std::pow(all / (all - 1e-10), 2),
+              1e-6);
+  EXPECT_NEAR(found.residual_rms, std::sqrt(28e-8 / 7.0), 1e-12);
+  EXPECT_NEAR(found.residual_max, 3e-4, 1e-12);
 }
 
 }  // namespace

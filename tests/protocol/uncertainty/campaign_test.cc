@@ -6,6 +6,8 @@
 #include <cmath>
 #include <random>
 
+#include "protocol/statistics/distributions.h"
+
 namespace abcal {
 namespace {
 
@@ -38,6 +40,7 @@ TEST(CampaignTest, TheMeanHasTheSpreadBetweenRunsAndTheCommonTypeB) {
   // Welch and Satterthwaite: 2 (u / u_A)^4.
   const double ratio = p.standard_uncertainty / p.type_a;
   EXPECT_NEAR(p.degrees_of_freedom, 2.0 * std::pow(ratio, 4), 1e-9);
+  EXPECT_DOUBLE_EQ(p.coverage_factor, student_t_above(0.025, p.degrees_of_freedom));
   EXPECT_GT(p.coverage_factor, 3.182);  // t of 3 degrees of freedom
   EXPECT_LT(p.coverage_factor, 4.303);  // t of 2
 }

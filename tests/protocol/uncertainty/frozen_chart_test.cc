@@ -5,9 +5,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <random>
 #include <stdexcept>
+#include <vector>
 
+#include "protocol/statistics/distributions.h"
 #include "protocol/uncertainty/run_length.h"
 
 namespace abcal {
@@ -143,6 +146,50 @@ TEST(FrozenChartTest, MoreRunsInTheBaselineGiveNarrowerLimits) {
   EXPECT_LT(detection_run_length(many, 1.0), detection_run_length(few, 1.0));
 }
 
+// Six means and twelve standard deviations represent the baselines: of the 72 run lengths in their order the
+// eighth is the one that nine tenths reach.
+TEST(FrozenChartTest, TheLimitOfSingleValuesIsThatOfTheEighthOf72Baselines) {
+  constexpr int kRuns = 8;
+  constexpr double kEach = 27 * 200.0;
+  const ChartRules rules = design_rules({kRuns, 27, 200.0, 0.9});
+  const auto eighth_at = [](double limit) {
+    std::vector<double> lengths;
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 12; ++j) {
+        const double off = normal_quantile(0.5 + (i + 0.5) / 12.0) / std::sqrt(8.0);
+        const double sd = std::sqrt(chi2_quantile((j + 0.5) / 12.0, 7.0) / 7.0);
+        lengths.push_back(1.0 / (normal_tail(limit * sd + off) + normal_tail(limit * sd - off)));
+      }
+    std::ranges::sort(lengths);
+    return lengths[7];
+  };
+  EXPECT_GE(eighth_at(rules.shewhart), kEach);
+  EXPECT_LT(eighth_at(rules.shewhart - 1.01e-5), kEach);
+  EXPECT_NEAR(rules.cusum_allowance, 0.5 + 1.894579 / std::sqrt(8.0), 1e-6);  // t of 7 degrees, 95 %
+  const double alarms = 1.0 / shewhart_run_length(rules.shewhart) + 1.0 / ewma_run_length(0.2, rules.ewma) +
+                        1.0 / cusum_run_length(rules.cusum_allowance, rules.cusum);
+  EXPECT_NEAR(false_alarm_run_length(rules) * alarms, 1.0, 1e-12);
+}
+
+TEST(FrozenChartTest, AValueOnALimitIsInside) {
+  ChartRules rules{4.0, 0.25, 1e9, 0.5, 1e9};
+  const auto is_outside = [&](double z) {
+    ChartState state;
+    return judge(rules, z, state).outside();
+  };
+  for (const double sign : {-1.0, 1.0}) {
+    rules = {4.0, 0.25, 1e9, 0.5, 1e9};
+    EXPECT_FALSE(is_outside(sign * 4.0));
+    EXPECT_TRUE(is_outside(sign * std::nextafter(4.0, 5.0)));
+    rules = {1e9, 0.25, 1e9, 0.5, 5.0};
+    EXPECT_FALSE(is_outside(sign * 5.5));
+    EXPECT_TRUE(is_outside(sign * 5.5001));
+    rules = {1e9, 0.25, 3.0, 0.5, 1e9};  // A quarter of the value, within 3 sqrt(0.25 / 1.75).
+    EXPECT_FALSE(is_outside(sign * 4.0 * 1.1338934));
+    EXPECT_TRUE(is_outside(sign * 4.0 * 1.1338935));
+  }
+}
+
 TEST(FrozenChartTest, JudgesByEachRule) {
   const ChartRules rules{4.0, 0.2, 3.0, 0.5, 5.0};
   ChartState state;
@@ -163,12 +210,19 @@ TEST(FrozenChartTest, OutliersAreThoseOfThePublishedTable) {
   EXPECT_NEAR(outlier_limit(5, 0.05), 1.715, half_digit(3));
   EXPECT_NEAR(outlier_limit(10, 0.05), 2.290, half_digit(3));
   EXPECT_NEAR(outlier_limit(20, 0.05), 2.709, 0.001);
+  // Student's t of one degree of freedom is a cotangent.
+  EXPECT_NEAR(outlier_limit(3, 0.05), 2.0 / std::sqrt(3.0) * std::cos(std::numbers::pi / 120.0), 1e-9);
   EXPECT_THROW(outlier_limit(2, 0.05), std::invalid_argument);
+  EXPECT_THROW(outlier_limit(5, 0.0), std::invalid_argument);
+  EXPECT_THROW(outlier_limit(5, 1.0), std::invalid_argument);
 }
 
 TEST(FrozenChartTest, RefusesWhatItCannotPromise) {
   EXPECT_THROW(design_rules({2, 27, 200.0, 0.9}), std::invalid_argument);
-  EXPECT_THROW(design_rules({8, 27, 0.5, 0.9}), std::invalid_argument);
+  EXPECT_NO_THROW(design_rules({3, 1, 1.5, 0.5}));
+  EXPECT_THROW(design_rules({8, 0, 200.0, 0.9}), std::invalid_argument);
+  EXPECT_THROW(design_rules({8, 27, 1.0, 0.9}), std::invalid_argument);
+  EXPECT_THROW(design_rules({8, 27, 200.0, 0.0}), std::invalid_argument);
   EXPECT_THROW(design_rules({8, 27, 200.0, 1.0}), std::invalid_argument);
   EXPECT_THROW(ewma_run_length(0.0, 3.0), std::invalid_argument);
   EXPECT_THROW(shewhart_run_length(3.0, {0.0, 0.0}), std::invalid_argument);

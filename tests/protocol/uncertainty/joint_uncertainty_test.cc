@@ -182,6 +182,14 @@ TEST(JointUncertaintyTest, DegreesOfADwellAreThoseOfItsEffectiveReadings) {
   EXPECT_NEAR(found(0), 99.0, 1e-9);
   EXPECT_NEAR(found(1), 3.0, 1e-9) << "4 effective readings, correlated";
   EXPECT_EQ(found(2), 0.0) << "the resolution governs";
+  dwell.u_mean = Eigen::Vector3d(1.0, 0.0, 0.1 / std::sqrt(5.5));
+  EXPECT_EQ(degrees_of_dwell(dwell)(0), 3.0) << "one effective reading";
+  EXPECT_TRUE(std::isinf(degrees_of_dwell(dwell)(1))) << "without noise";
+  EXPECT_NEAR(degrees_of_dwell(dwell)(2), 4.5, 1e-9);
+  dwell.count = 2;
+  EXPECT_EQ(degrees_of_dwell(dwell)(0), 3.0);
+  dwell.count = 1;
+  EXPECT_TRUE(std::isinf(degrees_of_dwell(dwell)(0))) << "one reading has no scatter";
 }
 
 TEST(JointUncertaintyTest, NoiseWhoseSizeTheRunEstimatesIsDrawnWithItsSize) {
@@ -208,6 +216,90 @@ TEST(JointUncertaintyTest, NoiseWhoseSizeTheRunEstimatesIsDrawnWithItsSize) {
   // chi2 of the readings themselves, and of the size: 2 / N + 2 / nu, to higher orders in 1 / nu.
   EXPECT_GT(relative, 0.75 * (2.0 / readings + 2.0 / nu));
   EXPECT_GT(relative, 1.25 * 2.0 / readings);
+}
+
+/// A fit whose noise a test states.
+struct StatedNoise {
+  StatedNoise(const RunRecord& record, const AssumedNoise& noise, const Eigen::Vector3d& redundancy)
+      : own(fit_item(record, {})) {
+    own.solution->noises = {noise};
+    own.solution->weights = {1.0};
+    own.solution->white.redundancy = redundancy;
+  }
+  ItemFit own;
+};
+
+/// The draws of a trial, one after another, as the description of JointTrials has them.
+class NoiseDraws {
+ public:
+  NoiseDraws(std::uint64_t seed, std::uint64_t trial) : stream_(seed, StreamPurpose::kReadings, trial) {
+    stream_.uniform();  // Which noise: there is one.
+  }
+  double normal() { return stream_.normal(); }
+  /// The size of a variance that was estimated with these degrees of freedom, over its estimate.
+  double root_of_size(double nu) { return std::sqrt(nu / chi2_draw(nu, stream_)); }
+  double of_dwell(double nu) {
+    return nu > 0.0 ? student_t_draw(nu, stream_) : standard_draw(Shape::kRectangular, stream_);
+  }
+
+ private:
+  RandomStream stream_;
+};
+
+// Fewer than three degrees of freedom have no standard deviation (JCGM 101, 6.4.9.4).
+TEST(JointUncertaintyTest, WhiteNoiseOfUnknownSizeIsDrawnWithThreeDegreesOfFreedomAtLeast) {
+  RunRecord record = measured(12);
+  for (DwellRecord& dwell : record.dwells) dwell.u_mean.reset();
+  AssumedNoise noise;
+  noise.white = Eigen::Vector3d(1.0, 2.0, 3.0);
+  const StatedNoise stated(record, noise, {1.5, 3.5, 40.0});
+  const JointTrials trials(stated.own, record, 7);
+  const EffectModel& model = *stated.own.solution->model;
+  for (std::uint64_t trial = 0; trial < 5; ++trial) {
+    const Eigen::VectorXd drawn = trials.draw(trial).noise;
+    NoiseDraws draws(7, trial);
+    Eigen::Vector3d white = noise.white;
+    Eigen::Index j = 0;
+    for (const double nu : {3.0, 3.5, 40.0}) white(j++) *= draws.root_of_size(nu);
+    for (Eigen::Index i = 0; i < drawn.size(); ++i) {
+      const double u =
+          stated.own.data.readings[static_cast<std::size_t>(i / 3)].u(i % 3) / model.unit()(i % 3);
+      EXPECT_NEAR(drawn(i), u * white(i % 3) * draws.normal(), 1e-12 * u) << trial << " " << i;
+    }
+  }
+}
+
+// The reading of a dwell has Student's distribution with its degrees of freedom; a process whose correlation
+// falls by 1/e over 5 angles is added, and its mean over the run belongs to the offset.
+TEST(JointUncertaintyTest, NoiseOfADwellAndAProcessAreDrawnOneAfterTheOther) {
+  RunRecord record = measured(12);
+  for (std::size_t n = 0; n < record.dwells.size(); ++n) {
+    record.dwells[n].count = 5;
+    const double effective = n % 3 == 0 ? 0.5 : n % 3 == 1 ? 2.0 : 4.6;
+    record.dwells[n].spread = *record.dwells[n].u_mean * std::sqrt(effective);
+  }
+  AssumedNoise noise;
+  noise.tau = 1.7;
+  noise.rho = 5.0;
+  const StatedNoise stated(record, noise, Eigen::Vector3d::Constant(1.5));  // The sizes are known: not read.
+  const JointTrials trials(stated.own, record, 8);
+  const EffectModel& model = *stated.own.solution->model;
+  const JointDraw drawn = trials.draw(3);
+  NoiseDraws draws(8, 3);
+  Eigen::Vector3d state = Eigen::Vector3d::Zero(), mean = Eigen::Vector3d::Zero();
+  const std::size_t angles = record.dwells.size();
+  for (std::size_t n = 0; n < angles; ++n) {
+    const double decay = n > 0 ? std::exp(-1.0 / 5.0) : 0.0;  // Evenly spaced in time.
+    const double degrees = n % 3 == 0 ? 0.0 : n % 3 == 1 ? 3.0 : 3.6;
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      const double u = stated.own.data.readings[n].u(j) / model.unit()(j);
+      const double white = u * draws.of_dwell(degrees);
+      state(j) = decay * state(j) + std::sqrt(1.0 - decay * decay) * 1.7 * u * draws.normal();
+      EXPECT_NEAR(drawn.noise(3 * static_cast<Eigen::Index>(n) + j), white + state(j), 1e-9 * u) << n;
+    }
+    mean += state / static_cast<double>(angles);
+  }
+  EXPECT_LT((drawn.process_mean - mean).norm(), 1e-9 * mean.norm());
 }
 
 TEST(JointUncertaintyTest, TheNumberOfThreadsChangesNoBit) {

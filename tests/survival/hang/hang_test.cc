@@ -1,6 +1,7 @@
 // A program that moves a stage hangs or dies, its guard dies, or the port is gone for a while: the stage is
 // at rest within 1.25 s of the fault or of the port's return. The emulator, a process of its own, knows the
-// motion of the stage.
+// motion of the stage. ABCAL_FAULT_PAIRS is the number of random pairs of faults that the long test draws
+// (default 40).
 
 #include <dirent.h>
 #include <fmt/format.h>
@@ -9,6 +10,7 @@
 #include <sys/ptrace.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
@@ -24,9 +26,11 @@
 #include <vector>
 
 #include "app/console/bench_service.h"
+#include "app/console/guard_watch.h"
 #include "app/measure/guard/halt_guard.h"
 #include "drivers/text/names.h"
 #include "protocol/record/run_file.h"
+#include "tests/app/guard_faults.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/console/client.h"
@@ -612,6 +616,215 @@ INSTANTIATE_TEST_SUITE_P(EachStage, LongInSweep,
                                                           Injection::kKillGuard, Injection::kUnplug,
                                                           Injection::kUnplugAndEnd, Injection::kFreezeBoth)),
                          name_of_case);
+
+enum class Phase { kMove, kSweep, kHoming, kCheck, kLevel, kJog };
+
+constexpr auto kPhases = names<Phase>({{Phase::kMove, "move"},
+                                       {Phase::kSweep, "sweep"},
+                                       {Phase::kHoming, "homing"},
+                                       {Phase::kCheck, "check"},
+                                       {Phase::kLevel, "level"},
+                                       {Phase::kJog, "jog"}});
+
+bool is_of_guard(FaultKind fault) {
+  return fault == FaultKind::kKillGuard || fault == FaultKind::kFreezeGuard;
+}
+
+/// Time from a fault until the other process has answered it with a halt (docs/halting.md), with a quarter of
+/// a second for a machine that is busy; none: it ends in order or is no fault of a process.
+std::chrono::milliseconds time_to_answer(FaultKind fault) {
+  switch (fault) {
+    case FaultKind::kKillProgram:
+    case FaultKind::kKillGuard:
+      return 350ms;
+    case FaultKind::kFreezeProgram:
+    case FaultKind::kFreezeGuard:
+      return 1500ms;
+    case FaultKind::kEndProgram:
+    case FaultKind::kSuspendProgram:
+    case FaultKind::kUnplug:
+      return 0ms;
+  }
+  return 0ms;
+}
+
+/// Whether program and guard fail both before either has answered the other's fault: nobody need halt.
+bool is_named_loss(FaultKind first, FaultKind second, std::chrono::milliseconds between) {
+  const std::string pair = fmt::format("{}, {}", kFaults.of(first), kFaults.of(second));
+  return named_losses().contains(pair) && between < time_to_answer(first);
+}
+
+/// Whether the program may go on by itself once it was at rest.
+bool may_go_on(FaultKind first, FaultKind second) {
+  const auto leaves_program = [](FaultKind fault) {
+    return is_of_guard(fault) || fault == FaultKind::kUnplug;
+  };
+  return leaves_program(first) && leaves_program(second);
+}
+
+/// Two faults that follow one another while an axis moves. The stage is at rest within the limit of the later
+/// one or of the port's return, and nobody says that an axis is at rest while it moves.
+class FaultPairs : public HangTest {
+ protected:
+  void draw_and_expect_rest(unsigned seed) {
+    std::mt19937_64 random(seed);
+    const auto one_of = [&](const auto& rows) { return rows[random() % rows.size()].value; };
+    const Phase phase = one_of(kPhases.rows);
+    const FaultKind first = one_of(kFaults.rows), second = one_of(kFaults.rows);
+    const std::chrono::milliseconds between(random() % 1500);
+    const std::vector<StageCase>& all = stages();
+    const std::string stage = all[random() % all.size()].name;
+    const std::string words = fmt::format("{}: {}, {}: {}, {} ms later {}", seed, stage, kPhases.of(phase),
+                                          kFaults.of(first), between.count(), kFaults.of(second));
+    SCOPED_TRACE(words);
+    start_emulator(stage, phase == Phase::kSweep);
+    if (HasFatalFailure()) return;
+    begin_motion(phase, random);
+    if (HasFatalFailure()) return;
+    watch();
+
+    auto from = inject_fault(first);
+    observe_until(std::chrono::steady_clock::now() + between);
+    from = std::max(from, inject_fault(second));
+    const auto limit = from + kLimit + kDeceleration;
+    rested_since.reset();
+    observe_until(limit);
+    if (is_named_loss(first, second, between)) {
+      // Whether it moves or not, nobody says what is not so.
+    } else if (may_go_on(first, second)) {
+      EXPECT_TRUE(rested_since) << "was never at rest";
+    } else {
+      EXPECT_FALSE(control->anything_moves()) << "moves after the limit";
+      observe_until(limit + 300ms);
+      EXPECT_FALSE(control->anything_moves()) << "moves again";
+    }
+    EXPECT_LE(falsely_at_rest, 1s) << "an axis is said to be at rest while it moves";
+    if (HasFailure())
+      fmt::print("{}\n{}{}\n{}", words, run ? run->out() : "", run ? run->err() : "",
+                 test::read_file(folder / "state/abcal/motion.log"));
+    release();
+  }
+
+ private:
+  /// Starts the program of the phase and waits until the stage moves in it, and a random time longer.
+  void begin_motion(Phase phase, std::mt19937_64& random) {
+    if (phase == Phase::kMove || phase == Phase::kSweep) {
+      start_in_motion(random);
+      program = run ? run->pid() : -1;
+      return;
+    }
+    if (phase == Phase::kJog) {
+      start_jog();
+      program = holder;
+      return;
+    }
+    std::vector<std::string> command{"run", "bench.toml", "-o", "run-1.run"};
+    if (phase == Phase::kCheck) command = {"check", "bench.toml"};
+    if (phase == Phase::kLevel) command = {"level", "bench.toml"};
+    run = std::make_unique<Program>(command, folder.path());
+    // From the homing on, a move of 5 degrees/s lasts for seconds.
+    const auto delay = std::chrono::milliseconds(300 + random() % 500);
+    ASSERT_TRUE(test::wait_for(
+        [&] {
+          if (!run->running()) return true;
+          if (!control->anything_moves()) return false;
+          std::this_thread::sleep_for(delay);
+          return control->anything_moves();
+        },
+        60s));
+    ASSERT_TRUE(run->running()) << run->err() << run->out();
+    program = run->pid();
+    guard = guard_of(program);
+    ASSERT_GT(guard, 0) << "no guard; " << run->err();
+  }
+
+  /// @return the time from which the limit counts: of the fault, or of the return of the port
+  SteadyTime inject_fault(FaultKind fault) {
+    const auto now = std::chrono::steady_clock::now();
+    switch (fault) {
+      case FaultKind::kKillProgram:
+        ::kill(program, SIGKILL);
+        break;
+      case FaultKind::kFreezeProgram:
+        ::kill(program, SIGSTOP);
+        break;
+      case FaultKind::kEndProgram:
+        ::kill(program, SIGTERM);
+        break;
+      case FaultKind::kSuspendProgram:
+        ::kill(program, SIGTSTP);
+        break;
+      case FaultKind::kKillGuard:
+      case FaultKind::kFreezeGuard: {  // The one that serves now: it may have been replaced.
+        const pid_t serving = guard_of(program);
+        ::kill(serving > 0 ? serving : guard, fault == FaultKind::kKillGuard ? SIGKILL : SIGSTOP);
+        break;
+      }
+      case FaultKind::kUnplug:
+        control->ask({{"do", "fault"}, {"kind", "unplug"}, {"instrument", port_of_x}, {"for_s", 2.0}});
+        return now + 2s;
+    }
+    return now;
+  }
+
+  /// Watches what is said of the axes as the console does: by the guards of the program, else by their log.
+  void watch() {
+    test::write_file(folder / "holder", std::to_string(program));
+    watcher = std::make_unique<console::GuardWatch>(
+        folder / "holder", [] { return std::string("on the bench \"hang\""); },
+        [this](const console::GuardWatch::Known& known) { said_at_rest = known.is_at_rest; });
+  }
+
+  /// Notes when the axes come to rest, and for how long it is said that they are while one moves.
+  void observe_until(SteadyTime end) {
+    while (std::chrono::steady_clock::now() < end) {
+      const auto now = std::chrono::steady_clock::now();
+      const bool moves = control->anything_moves();
+      if (!moves && !rested_since) rested_since = now;
+      if (!moves || !said_at_rest) false_since = now;
+      falsely_at_rest =
+          std::max(falsely_at_rest, std::chrono::duration_cast<std::chrono::milliseconds>(now - false_since));
+      std::this_thread::sleep_for(10ms);
+    }
+  }
+
+  /// Ends all processes of the pair.
+  void release() {
+    watcher.reset();
+    for (const pid_t one : {guard, guard_of(program), program}) {
+      if (one <= 0) continue;
+      ::kill(one, SIGCONT);
+      ::kill(one, SIGKILL);
+    }
+    if (run) run->wait();
+    if (server) end_console();
+  }
+
+  pid_t program = -1;  ///< It moves the stage: the run, or the process that holds the bench of a console.
+  std::unique_ptr<console::GuardWatch> watcher;
+  std::atomic<bool> said_at_rest = false;
+  std::optional<SteadyTime> rested_since;
+  SteadyTime false_since = std::chrono::steady_clock::now();
+  std::chrono::milliseconds falsely_at_rest{0};
+};
+
+/// @return ABCAL_FAULT_PAIRS, or 40
+unsigned number_of_pairs() {
+  const char* stated = std::getenv("ABCAL_FAULT_PAIRS");
+  return stated ? static_cast<unsigned>(std::atoi(stated)) : 40;
+}
+
+class LongFaultPairs : public FaultPairs, public testing::WithParamInterface<unsigned> {};
+
+TEST_P(LongFaultPairs, LeaveNothingMovingButWhatTheDocumentationNames) {
+  draw_and_expect_rest(GetParam());
+}
+
+INSTANTIATE_TEST_SUITE_P(Drawn, LongFaultPairs, testing::Range(1U, 1U + number_of_pairs()));
+
+TEST_F(FaultPairs, ADrawnPairLeavesNothingMoving) {
+  draw_and_expect_rest(20261130);
+}
 
 /// Stop from another program reaches the guard of a run that hangs, which confirms the rest of each axis.
 TEST_F(HangTest, StopOfAnotherProgramReachesTheGuardDirectly) {

@@ -1,0 +1,236 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/commands/commands.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/write_pdf.h"
+#include "app/laboratory/pilot/comparison_chain.h"
+#include "app/laboratory/pilot/comparison_protocol.h"
+#include "app/laboratory/pilot/pilot_analysis.h"
+#include "app/laboratory/pilot/pilot_document.h"
+#include "app/laboratory/register/login.h"
+#include "app/laboratory/register/register.h"
+#include "app/system/exit_code.h"
+#include "app/system/output.h"
+#include "app/system/output_file.h"
+#include "app/system/real_clock.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+constexpr const char* kProtocolWords = "protocol of the comparison (TOML)";
+
+struct AddOptions {
+  std::string protocol, file, participant, sha256, replace, withdraw, statement, protocol_change;
+};
+
+/// Why a certificate does not hold any more, from the register of this laboratory, if one is configured.
+CertificateDoubt doubt_of_register(Clock::UtcTime now) {
+  const std::string location = lab::register_location({});
+  if (location.empty()) return {};
+  auto opened = std::make_shared<lab::Register>(lab::Register::open(location, now));
+  return [opened](const std::string& number) -> std::string {
+    const std::optional<lab::CertificateStatus> status = opened->status_of(number);
+    if (!status) return {};
+    if (status->withdrawn)
+      return fmt::format("was withdrawn on {} ({})", status->withdrawn->date(), status->withdrawn->reason);
+    return status->amended_by.empty() ? std::string() : "was replaced by " + status->amended_by;
+  };
+}
+
+PilotAnalysis analysed_comparison(const std::string& file) {
+  const ComparisonProtocol protocol = read_comparison_protocol(file);
+  return analyse_comparison(protocol, ComparisonChain(protocol), doubt_of_register(RealClock().utc_now()));
+}
+
+/// The SHA-256 of a result, and its file if that is there.
+std::string hash_to_add(const AddOptions& options, const ComparisonProtocol& protocol) {
+  if (options.file.empty()) {
+    constexpr std::size_t kDigits = 64;
+    if (options.sha256.size() != kDigits ||
+        options.sha256.find_first_not_of("0123456789abcdef") != std::string::npos)
+      throw std::invalid_argument(
+          "required: the FILE of the result, or --sha256 with its 64 hexadecimal digits");
+    return options.sha256;
+  }
+  // Read, so that a result that cannot be compared is refused now; its values are not shown.
+  read_pilot_result(protocol, options.participant, options.file);
+  const std::string sha256 = sha256_of_file(options.file);
+  if (!options.sha256.empty() && options.sha256 != sha256)
+    throw std::invalid_argument(
+        fmt::format("{}: its SHA-256 is {}, not that of --sha256", options.file, sha256));
+  return sha256;
+}
+
+void add_to_comparison(const AddOptions& options) {
+  const ComparisonProtocol protocol = read_comparison_protocol(options.protocol);
+  ComparisonChain chain(protocol);
+  const Clock::UtcTime now = RealClock().utc_now();
+  if (!options.protocol_change.empty()) {
+    chain.accept_protocol(options.protocol_change, now);
+    print_result("The protocol as it is now counts.\n");
+    return;
+  }
+  if (options.participant.empty())
+    throw std::invalid_argument("--participant is required: whose result it is");
+  chain.require_known(options.participant);
+  if (!options.withdraw.empty()) {
+    chain.withdraw(options.participant, options.withdraw, now);
+    print_result("{}: its results do not count any more; the report says so.\n", options.participant);
+  } else if (!options.statement.empty()) {
+    chain.add_statement(options.participant, options.statement, now);
+    print_result("{}: its statement stands in the report.\n", options.participant);
+  } else {
+    const std::string sha256 = hash_to_add(options, protocol);
+    const int number =
+        options.replace.empty()
+            ? chain.add_result(options.participant, sha256, options.file, now)
+            : chain.replace_result(options.participant, sha256, options.file, options.replace, now);
+    print_result("Measurement {} by {}: committed by SHA-256 {}{}.\n", number, options.participant, sha256,
+                 options.file.empty() ? "; add the file when all results are committed" : "");
+  }
+  print_log("{} of {} results are committed\n", chain.committed(), chain.states().size());
+}
+
+void add_pilot_init(CLI::App& parent) {
+  struct Options {
+    std::string file;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand("init", "Write a protocol with comments, to be changed");
+  command->add_option("PROTOCOL", options->file, "file to write; it must not exist")->required();
+  command->callback([options] {
+    OutputFile(options->file).write_new(example_protocol());
+    print_result("{} written: change it, and have all participants agree before the first measurement\n",
+                 options->file);
+  });
+}
+
+void add_pilot_add(CLI::App& parent) {
+  auto options = std::make_shared<AddOptions>();
+  CLI::App* command = parent.add_subcommand(
+      "add", "Add a result by its SHA-256, a late change, a withdrawal or a statement; shows no value");
+  command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
+  command->add_option("FILE", options->file,
+                      "result: certificate (DCC XML), run, measurement, or a table with covariance (CSV)");
+  command->add_option("--participant", options->participant, "whose result it is");
+  command->add_option(
+      "--sha256", options->sha256,
+      "SHA-256 of the file, where the participant gives the file when all results are committed");
+  CLI::Option* replace =
+      command->add_option("--replace", options->replace, "reason why it replaces the participant's result")
+          ->type_name("REASON");
+  CLI::Option* withdraw =
+      command
+          ->add_option("--withdraw", options->withdraw, "reason why the participant's results do not count")
+          ->type_name("REASON");
+  CLI::Option* statement =
+      command->add_option("--statement", options->statement, "statement of the participant for the report");
+  CLI::Option* change = command
+                            ->add_option("--protocol-change", options->protocol_change,
+                                         "reason why the protocol, as it is now, counts from now on")
+                            ->type_name("REASON");
+  withdraw->excludes(replace)->excludes(statement)->excludes(change);
+  statement->excludes(replace)->excludes(change);
+  command->callback([options] { add_to_comparison(*options); });
+}
+
+void add_pilot_status(CLI::App& parent) {
+  struct Options {
+    std::string protocol;
+    bool json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      parent.add_subcommand("status", "Which results are in, and what was changed; shows no value");
+  command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.pilot/1");
+  command->callback([options] {
+    const ComparisonProtocol protocol = read_comparison_protocol(options->protocol);
+    const ComparisonChain chain(protocol);
+    if (options->json) {
+      print_result("{}\n", pilot_status_json(protocol, chain).dump(2));
+    } else {
+      print_result("{}", document_text(pilot_status(protocol, chain), stdout));
+    }
+    chain.require_protocol();
+  });
+}
+
+void add_pilot_analyse(CLI::App& parent, int& exit_code) {
+  struct Options {
+    std::string protocol;
+    bool json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "analyse",
+      "Reference value, degrees of equivalence, and who differs; exit 1 if the participants do not agree");
+  command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.pilot/1");
+  command->callback([options, &exit_code] {
+    const PilotAnalysis analysis = analysed_comparison(options->protocol);
+    if (options->json) {
+      print_result("{}\n", pilot_json(analysis).dump(2));
+    } else {
+      print_result("{}", document_text(pilot_document(analysis, format_utc(RealClock().utc_now())), stdout));
+    }
+    exit_code = analysis.agree() ? kExitDone : kExitFailed;
+  });
+}
+
+void add_pilot_report(CLI::App& parent) {
+  struct Options {
+    std::string protocol, html, pdf;
+    bool force = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand("report", "Draft A with figures and matrices: HTML, PDF");
+  command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
+  command->add_option("--html", options->html, "write this page");
+  command->add_option("--pdf", options->pdf, "write this PDF");
+  command->add_flag("--force", options->force, "overwrite existing files");
+  command->callback([options] {
+    std::vector<RequestedOutput> outputs;
+    if (!options->html.empty()) outputs.push_back({"--html", options->html});
+    if (!options->pdf.empty()) outputs.push_back({"--pdf", options->pdf});
+    if (outputs.empty()) throw std::invalid_argument("required: --html FILE or --pdf FILE, or both");
+    require_writable(outputs, {options->protocol}, options->force);
+    const PilotAnalysis analysis = analysed_comparison(options->protocol);
+    const Document document = pilot_document(analysis, format_utc(RealClock().utc_now()));
+    if (!options->html.empty()) OutputFile(options->html).write(document_html(document));
+    if (!options->pdf.empty()) {
+      OutputFile file(options->pdf);
+      write_pdf(document, file.temporary(), std::nullopt);
+      file.commit();
+    }
+    for (const RequestedOutput& output : outputs)
+      print_result("{} written: {}\n", output.option.substr(2),
+                   std::filesystem::absolute(output.path).string());
+  });
+}
+
+}  // namespace
+
+CLI::App* add_pilot(CLI::App& parent, int& exit_code) {
+  CLI::App* command = parent.add_subcommand(
+      "pilot", "A comparison of laboratories: protocol, blind results, reference value, Draft A");
+  command->require_subcommand(1);
+  add_pilot_init(*command);
+  add_pilot_add(*command);
+  add_pilot_status(*command);
+  add_pilot_analyse(*command, exit_code);
+  add_pilot_report(*command);
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,80 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/laboratory/pilot/key_comparison.h"
+
+namespace abcal {
+
+/// One measurement of the artefact by a participant. The pilot measures several times, all others once.
+struct ArtefactMeasurement {
+  std::size_t participant = 0;
+  double time = 0.0;           ///< Transfers or days since the start; one unit for all.
+  Eigen::VectorXd values;      ///< p
+  Eigen::MatrixXd covariance;  ///< p x p
+  /// Standard uncertainties of the part that differs from one repeat of the participant to the next, p. The
+  /// rest is common to its repeats. Read of a participant with several measurements only.
+  Eigen::VectorXd repeatability;
+};
+
+/// An effect that several participants have in common: a stage record, a value of gravity, a check standard.
+struct SharedSource {
+  std::string name;
+  std::vector<std::size_t> participants;
+  Eigen::VectorXd u;  ///< Its standard uncertainty in each of the p quantities, a part of the stated ones.
+  /// Whether it is one effect that moves all quantities together with the signs of `u` (gravity in three
+  /// sensitivities). If not, it is p independent effects.
+  bool together = false;
+};
+
+enum class DriftModel {
+  kNone,  ///< The artefact has one value.
+  kLine,  ///< It changes in proportion to time.
+};
+
+/// A change of the artefact that no line explains.
+struct ArtefactStep {
+  std::size_t before = 0, after = 0;  ///< Positions of the pilot's measurements on both sides.
+  Eigen::Index quantity = 0;          ///< The one that changed most against its repeatability.
+  double change = 0.0;                ///< Change of that quantity between the two, drift taken off.
+  double u = 0.0;                     ///< Standard uncertainty of the change.
+  ConsistencyTest test;               ///< Test of the model without a step.
+};
+
+/// The results of all participants at one moment.
+struct TransferredResults {
+  /// In the order of participants. The pilot's is the value of its fit at `reference_time`.
+  ParticipantResults results;
+  double reference_time = 0.0;  ///< The mean time of the pilot's measurements.
+  Eigen::VectorXd rate;         ///< Change in a unit of time, p; zero without drift.
+  Eigen::MatrixXd rate_covariance;
+  ConsistencyTest constant;  ///< Test of one value for all repeats.
+  std::optional<ConsistencyTest>
+      line;  ///< With a line; absent for fewer than three repeats, or no drift model.
+  std::optional<ArtefactStep> step;
+};
+
+/// Covariance of all measurements: of each with itself; of a participant's repeats all but their
+/// repeatability; of different participants their shared sources.
+/// @throws KeyComparisonError a repeatability that is not above 0 or above the stated uncertainty; a shared
+/// source whose sizes do not fit
+Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& measurements,
+                                        const std::vector<SharedSource>& shared);
+
+/// Brings all results to the mean time of the pilot's measurements, by the drift that these show
+/// (generalised least squares), with the covariances that this makes.
+/// @param measurements  in the order of time; each participant from 0 to the largest has one at least
+/// @param coverage_factors  of each participant
+/// @param level  a step is reported if the probability of the model without it is below this
+/// @throws KeyComparisonError a participant other than the pilot with several measurements or without any, a
+/// line through fewer than two measurements of the pilot, sizes that do not fit
+TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& measurements,
+                                       const std::vector<SharedSource>& shared,
+                                       const std::vector<double>& coverage_factors, std::size_t pilot,
+                                       DriftModel model, double level);
+
+}  // namespace abcal

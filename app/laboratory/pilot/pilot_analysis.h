@@ -1,0 +1,69 @@
+#pragma once
+
+#include <array>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/laboratory/compare/compared_result.h"
+#include "app/laboratory/pilot/artefact_drift.h"
+#include "app/laboratory/pilot/comparison_chain.h"
+#include "app/laboratory/pilot/comparison_protocol.h"
+#include "app/laboratory/pilot/key_comparison.h"
+
+namespace abcal {
+
+/// A measurement of the schedule that takes part.
+struct PilotMeasurement {
+  std::size_t number = 0;  ///< In the schedule, from 1.
+  std::string participant;
+  ComparedResult result;  ///< Sensitivities per m/s2, in the response unit of the protocol.
+};
+
+/// A comparison with all its numbers.
+struct PilotAnalysis {
+  ComparisonProtocol protocol;
+  std::vector<std::string> participants;  ///< Those that take part, in the order of all vectors here.
+  std::vector<PilotMeasurement> measurements;
+  std::vector<std::string> units;  ///< Those of the quantities of the protocol.
+  TransferredResults transferred;
+  ComparisonConsistency consistency;
+  ReferenceValue reference;
+  /// Reference values by the other procedures, for comparison; without those that are not possible.
+  std::vector<ReferenceValue> others;
+  std::vector<ClaimTest> claims;
+  std::vector<std::size_t> faulty;  ///< Participants that differ, all quantities together.
+  std::optional<LinkedDifferences> linked;
+  /// Assumptions, changes, and results that do not take part, in sentences.
+  std::vector<std::string> notes;
+  std::vector<std::pair<std::string, std::string>> statements;  ///< Participant and its words.
+  std::string chain_head;
+
+  /// All participants agree and the artefact did not break.
+  bool agree() const {
+    return faulty.empty() && !transferred.step && consistency.joint.probability >= protocol.level;
+  }
+  std::string step_words() const;  ///< Empty without a step.
+};
+
+/// Probability below which a participant is named, and a step of the artefact reported.
+inline constexpr double kNamingLevel = 0.01;
+
+/// Why a certificate does not hold any more, by its number; empty: it holds, or that is not known.
+using CertificateDoubt = std::function<std::string(const std::string& number)>;
+
+/// Reads one result for a comparison.
+/// @throws std::runtime_error, std::invalid_argument as load_compared(); KeyComparisonError with all reasons
+/// why it cannot be a result of the comparison: another item, another unit, a quantity that is not given, no
+/// uncertainties, no correlations where these are required
+ComparedResult read_pilot_result(const ComparisonProtocol& protocol, const std::string& participant,
+                                 const std::filesystem::path& file);
+
+/// The whole analysis.
+/// @throws ChainError results that are missing, not opened, or of another SHA-256; KeyComparisonError with
+/// all problems of the results, fewer than three participants that take part, and as reference_value()
+PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const ComparisonChain& chain,
+                                 const CertificateDoubt& doubt = {});
+
+}  // namespace abcal
