@@ -59,7 +59,7 @@ struct StageConfig {
       level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   std::string
       record;  ///< Made by `abcal stage learn`; empty: the stage is known from [stage_uncertainty] only.
-  /// Of the driver `described`: the name of a shipped description, or a file.
+  /// For the driver `described`: the name of a shipped description, or a file.
   std::string description;
   std::string description_text;  ///< The description itself, as a run keeps it.
   StageAxisConfig x, z;

@@ -6,9 +6,11 @@
 #include <array>
 #include <cmath>
 #include <ctime>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <stdexcept>
+#include <stop_token>
 #include <string>
 #include <utility>
 
@@ -17,10 +19,12 @@
 #include "app/measure/bench/make_bench.h"
 #include "app/measure/bench/stage_trial.h"
 #include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/typed_line.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/text/text.h"
+#include "protocol/record/run_interrupted.h"
 
 namespace abcal {
 namespace {
@@ -76,6 +80,9 @@ class Trial {
       : bench_(bench), config_(config), options_(options) {}
 
   StageInfo carry_out() {
+    // In simulated time only one thread may use the bench, and nothing real moves.
+    std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
+    if (!bench_.simulated_time) halt_at_once.emplace(interrupt_token(), [this] { bench_.stage->halt(); });
     const StageInfo info = bench_.stage->identify();
     print_log("identity: {} {}, serial number {}, firmware {}\n", info.maker, info.model,
               info.serial_number.empty() ? "not reported" : info.serial_number,
@@ -85,6 +92,7 @@ class Trial {
         if (!name_of(axis).empty()) try_axis(axis);
     } catch (...) {
       if (!bench_.stage->halt()) print_log("the halt was not acknowledged: the stage may be moving\n");
+      require_no_interrupt();  // It is the reason then.
       throw;
     }
     return info;
@@ -95,6 +103,10 @@ class Trial {
     return axis == StageAxis::kX ? config_.stage.x.axis : config_.stage.z.axis;
   }
 
+  bool is_wrapped(StageAxis axis) const {
+    return (axis == StageAxis::kX ? config_.stage.x : config_.stage.z).wraps_deg.has_value();
+  }
+
   /// Asks the person; on the emulator the answer is yes.
   void require_yes(const std::string& question) const {
     if (options_.port.empty()) {
@@ -102,10 +114,20 @@ class Trial {
       return;
     }
     print_log("{} Type yes: ", question);
-    if (typed_line().value_or("") != "yes") throw std::runtime_error("the trial was ended by its operator");
+    const auto answer = typed_line();
+    require_no_interrupt();
+    if (answer.value_or("") != "yes") throw std::runtime_error("the trial was ended by its operator");
   }
 
-  void wait(Clock::Duration time) const { bench_.clock->sleep_until(bench_.clock->now() + time); }
+  void require_no_interrupt() const {
+    if (!bench_.simulated_time && interrupt_token().stop_requested())
+      throw RunInterrupted(Message("the trial was interrupted; the description counts as not tried"));
+  }
+
+  void wait(Clock::Duration time) const {
+    bench_.clock->sleep_until(bench_.clock->now() + time);
+    require_no_interrupt();
+  }
   double angle(StageAxis axis) const { return bench_.stage->encoder_angle(axis).deg(); }
   bool moves(StageAxis axis) const { return bench_.stage->motion_state(axis) == MotionState::kMoving; }
 
@@ -150,8 +172,9 @@ class Trial {
   void try_axis(StageAxis axis) const {
     const std::string name = fmt::format("axis {} (\"{}\")", to_string(axis), name_of(axis));
     const bool searches = !bench_.stage->identify().axes[index(axis)].referenced;
-    require_yes(fmt::format("{}: {} begins and is halted after a moment. Is the way free?", name,
-                            searches ? "the search of the reference" : "a move"));
+    require_yes(fmt::format("{}: {} begins and is halted after a moment. Is the way free{}?", name,
+                            searches ? "the search of the reference" : "a move",
+                            is_wrapped(axis) ? ", and the cable not wound" : ""));
     if (searches) {
       bench_.stage->home(axis);
     } else {

@@ -440,19 +440,20 @@ class DescribedController final : public wire::LineController {
     }
     const std::string asked = description_.identify[0].send.text();
     if (answers > 1)
-      throw failure(Fault::kBadFrame, fmt::format("\"{}\" was answered differently each time, last with \"{}\"",
-                                                  asked, wire::printable(last)));
+      throw failure(Fault::kBadFrame,
+                    fmt::format("\"{}\" was answered differently each time, last with \"{}\"", asked,
+                                wire::printable(last)));
     if (answers == 0 && !heard.empty())
       throw failure(
           Fault::kWrongIdentity,
           fmt::format("\"{}\" is not an answer of {} to \"{}\": another instrument is on this port, or the "
                       "line settings are wrong",
                       wire::printable(heard), description_.maker, asked));
-    throw failure(Fault::kNoReply,
-                  fmt::format("{} to \"{}\" within {} s, asked twice and more; is it connected, switched "
-                              "on, and set to these line settings?",
-                              answers == 0 ? "no answer" : "one answer and no other", asked,
-                              description_.reply_s));
+    throw failure(
+        Fault::kNoReply,
+        fmt::format("{} to \"{}\" within {} s, asked twice and more; is it connected, switched "
+                    "on, and set to these line settings?",
+                    answers == 0 ? "no answer" : "one answer and no other", asked, description_.reply_s));
   }
 
   // ---- The calls
@@ -614,7 +615,7 @@ class DescribedController final : public wire::LineController {
 
   Clock& clock_;
   StageSettings settings_;
-  const StageDescription& description_;  ///< Of the settings.
+  const StageDescription& description_;  ///< A member of the settings.
   InOrder replies_;
   std::array<std::optional<double>, 2> units_per_degree_{}, usual_speed_{};
   std::array<bool, 2> prepared_{}, speed_set_{};

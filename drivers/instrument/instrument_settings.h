@@ -15,7 +15,8 @@ struct StageSettings {
   std::array<std::optional<double>, 2> speed_deg_per_s;  ///< Absent: the controller's own setting.
   std::string address;  ///< Address of a controller in a daisy chain; empty: none.
   std::string unit{};   ///< Unit of the axes if the controller does not report it: "deg"; empty: not known.
-  std::shared_ptr<const StageDescription> description{};  ///< Of the driver `described`; null for all others.
+  std::shared_ptr<const StageDescription>
+      description{};  ///< For the driver `described`; null for all others.
 };
 
 /// Settings of an accelerometer in a bench file, as far as a driver needs them. Each driver reads only those

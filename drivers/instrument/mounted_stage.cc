@@ -1,5 +1,7 @@
 #include "drivers/instrument/mounted_stage.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -22,7 +24,7 @@ MountedStage::MountedStage(std::unique_ptr<RotationStage> stage, std::array<Axis
 
 /// The angle of all turns that is nearest to the last target.
 Angle MountedStage::unwound(StageAxis axis, Angle reported) const {
-  const Angle about = (*turns_)[index(axis)].value_or(mounting_[index(axis)].zero);
+  const Angle about = turns_->target(axis).value_or(mounting_[index(axis)].zero);
   return about + Angle::degrees(std::remainder((reported - about).deg(), kTurn));
 }
 
@@ -56,12 +58,28 @@ StageInfo MountedStage::identify() {
     if (mounting.travel_min) travel.travel_min = std::max(travel.travel_min, *mounting.travel_min);
     if (mounting.travel_max) travel.travel_max = std::min(travel.travel_max, *mounting.travel_max);
   }
+  if (mounting_[0].wraps || mounting_[1].wraps) turns_->recall(info);
   info_ = info;
   return info;
 }
 
 void MountedStage::home(StageAxis axis) {
-  (*turns_)[index(axis)].reset();  // The reference is near the zero.
+  const AxisMounting& mounting = mounting_[index(axis)];
+  if (mounting.wraps) {
+    if (!info_) identify();
+    // A search of the reference may turn either way: its end would say nothing of the cable.
+    const Angle wound = turns_->target(axis).value_or(mounting.zero) - mounting.zero;
+    if (std::abs(wound.deg()) > kTurn / 2.0) {
+      throw InstrumentError(
+          "stage " + info_->model, Fault::kNotReady,
+          fmt::format(
+              "axis {} was last commanded {:.1f} deg from its zero, so that its cable may be wound, and "
+              "its reference is to be searched; required: turn the axis back to within half a turn of "
+              "its zero by the way that unwinds the cable, then {}",
+              to_string(axis), wound.deg(), turns_->remedy()));
+    }
+    turns_->set_target(axis, mounting.zero);  // The reference is near the zero.
+  }
   stage_->home(axis);
 }
 
@@ -87,7 +105,7 @@ void MountedStage::move_to(StageAxis axis, Angle target) {
                               "moves of less than 180 deg");
   }
   // Before the command: a move that has begun although its reply was lost is counted, too.
-  (*turns_)[index(axis)] = own;
+  turns_->set_target(axis, own);
   stage_->move_to(axis, of_one_turn(axis, own));
 }
 

@@ -3,6 +3,7 @@
 #include <array>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "drivers/instrument/rotation_stage.h"
 
@@ -21,9 +22,31 @@ struct AxisMounting {
 };
 
 /// The last targets of axes that count modulo 360, in controller angles of all turns: kept by the owner, they
-/// outlive a stage that is made again after its port was lost. Absent: unknown; the axis is then taken to be
-/// within half a turn of its zero.
-using CountedTurns = std::array<std::optional<Angle>, 2>;
+/// outlive a stage that is made again after its port was lost. An axis without one is taken to be within half
+/// a turn of its zero.
+class CountedTurns {
+ public:
+  CountedTurns() = default;
+  virtual ~CountedTurns() = default;
+  CountedTurns(const CountedTurns&) = delete;
+  CountedTurns& operator=(const CountedTurns&) = delete;
+
+  /// A stage has identified itself: what is kept of it counts from now on.
+  virtual void recall(const StageInfo&) {}
+  const std::optional<Angle>& target(StageAxis axis) const { return targets_[index(axis)]; }
+  /// Called before the axis is commanded. @throws std::runtime_error it cannot be kept
+  void set_target(StageAxis axis, Angle target) {
+    targets_[index(axis)] = target;
+    keep();
+  }
+  /// How a person says that the cable is not wound any more.
+  virtual std::string remedy() const { return "end this program"; }
+
+ protected:
+  virtual void keep() {}
+
+  std::array<std::optional<Angle>, 2> targets_;
+};
 
 /// The longest move of an axis that takes the shorter way.
 inline constexpr Angle kLongestWrappedMove = Angle::degrees(170.0);

@@ -208,7 +208,7 @@ void add_hex_alternatives(const Part& part, std::uint32_t count, std::vector<std
   }
 }
 
-/// What a part is in a ReplyPattern: one sequence of parts or several.
+/// The part as parts of a ReplyPattern: one sequence or several.
 std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
   switch (part.kind) {
     case Part::Kind::kLiteral:

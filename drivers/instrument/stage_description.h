@@ -50,7 +50,7 @@ class ReplyForm {
     enum class Bits : std::uint8_t { kFree, kNoneSet, kSomeSet };
 
     Kind kind = Kind::kLiteral;
-    std::string text{};  ///< Of a literal.
+    std::string text{};  ///< For a literal.
     std::string field{};
     std::uint32_t least = 0, most = 0;
     std::uint32_t mask = 0;
@@ -85,7 +85,7 @@ class CommandForm {
                                    const std::map<std::string, std::vector<std::string>>& texts) const;
 
   struct Part {
-    std::string text{};   ///< Of a literal.
+    std::string text{};   ///< For a literal.
     std::string field{};  ///< Empty: a literal.
     int decimals = 0;
   };
@@ -119,9 +119,9 @@ struct DescribedFault {
 /// are made. Angles in degrees.
 struct StageDescription {
   std::string maker;
-  std::vector<std::string> models;  ///< Of the identity; "RT-2*".
+  std::vector<std::string> models;  ///< As the identity gives them; "RT-2*".
   std::string text;                 ///< The whole file.
-  std::string sha256;               ///< Of the text.
+  std::string sha256;               ///< For the text.
   std::string source;               ///< For messages: its name or path.
   std::string tried_with;           ///< Maker, model and serial number of the trial; empty: any stage.
 
@@ -133,11 +133,11 @@ struct StageDescription {
   std::vector<ReplyForm> ignored;  ///< Lines that answer nothing.
   double gap_s = 0.0;              ///< Least time from a command or a reply to the next command.
   double reply_s = 1.0;            ///< Longest time of a reply.
-  std::string address;             ///< What {address} stands for if the bench file states none.
+  std::string address;             ///< Replaces {address} if the bench file states none.
 
   // The axes.
   std::vector<std::string> axis_names;  ///< That a bench file may use; empty: any.
-  double units_per_degree = 1.0;        ///< Of angles on the line; the scale, if asked for, replaces it.
+  double units_per_degree = 1.0;        ///< For angles on the line; the scale, if asked for, replaces it.
   double speed_factor = 1.0;            ///< Speeds on the line are units per second times this.
   bool wraps = false;                   ///< It counts modulo 360 and is sent angles, or
   bool by_increments = false;           ///< increments below half a turn.
@@ -152,15 +152,15 @@ struct StageDescription {
   std::optional<double> lower_deg, upper_deg;
 
   std::string halt;      ///< Bytes that stop all axes, with their end; may contain {axis} and {address}.
-  ReplyForm halt_reply;  ///< Of the halt; empty: none. It does not confirm standstill: the status does.
+  ReplyForm halt_reply;  ///< To the halt; empty: none. It does not confirm standstill: the status does.
   std::string spoil;     ///< Makes a half-written command one that is refused.
 
   std::vector<DescribedFault> errors;
 
-  // What only the emulator needs.
+  // Only the emulator needs the rest.
   std::string
       emulator_firmware;        ///< Name of a driver whose simulated instrument is used; empty: made of this.
-  FieldValues emulator_values;  ///< Of text fields: model, firmware.
+  FieldValues emulator_values;  ///< For text fields: model, firmware.
   std::string emulator_unknown;  ///< Reply to a command that it does not know; empty: none.
 
   /// The bytes that stop the axes of these names.

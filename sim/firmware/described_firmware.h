@@ -11,7 +11,7 @@
 namespace abcal::sim {
 
 struct DescribedSettings {
-  std::array<std::string, 2> axis_names{"1", "2"};  ///< Of X and Z; empty: not on this line.
+  std::array<std::string, 2> axis_names{"1", "2"};  ///< X and Z; empty: not on this line.
   std::string address;                              ///< Empty: that of the description.
   /// controller angle = zero + sign * protocol angle
   std::array<int, 2> sign{+1, +1};

@@ -18,7 +18,7 @@ struct StageVariant {
   std::string name;  ///< "pi_gcs", "pi_gcs_chain"
   const StageDriver* driver;
   std::array<std::string, 2> axis_names = StageSettings{}.axis_names;
-  std::string description{};  ///< Of a described stage: the name of a shipped one.
+  std::string description{};  ///< The name of a shipped one; empty: no described stage.
 
   StageSettings settings() const {
     StageSettings settings;

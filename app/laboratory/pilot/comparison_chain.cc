@@ -1,10 +1,14 @@
 #include "app/laboratory/pilot/comparison_chain.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/file.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <system_error>
 #include <utility>
 
 #include "app/system/output_file.h"
@@ -41,10 +45,29 @@ ChainEntry entry_of(const nlohmann::json& line) {
           .link = line.at("link")};
 }
 
+/// Waits until no other process has the file.
+Descriptor locked(const std::string& path) {
+  Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  int result = -1;
+  if (file.number() >= 0) {
+    do result = ::flock(file.number(), LOCK_EX);
+    while (result != 0 && errno == EINTR);
+  }
+  if (result != 0)
+    throw ChainError(fmt::format(
+        "{}: cannot be locked ({}), so that two results could be added at once and one of them be lost; "
+        "required: a file system with locks",
+        path, std::generic_category().message(errno)));
+  return file;
+}
+
 }  // namespace
 
 ComparisonChain::ComparisonChain(const ComparisonProtocol& protocol)
-    : protocol_(protocol), file_(protocol.path + ".chain"), states_(protocol.schedule.size()) {
+    : protocol_(protocol),
+      file_(protocol.path + ".chain"),
+      lock_(locked(protocol.path)),
+      states_(protocol.schedule.size()) {
   std::ifstream file(file_);
   std::string line, previous;
   while (std::getline(file, line)) {

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/laboratory/pilot/comparison_protocol.h"
+#include "app/system/descriptor.h"
 #include "drivers/instrument/clock.h"
 
 namespace abcal {
@@ -41,11 +42,12 @@ struct MeasurementState {
 
 /// The record of a comparison: a file of JSON lines next to its protocol, each line chained to the one
 /// before. A result counts by its SHA-256 before anyone can see another one: no value is shown until all
-/// planned measurements are committed.
+/// planned measurements are committed. Another process that reads or adds waits while an object of this class
+/// lives.
 class ComparisonChain {
  public:
   /// Reads PROTOCOL.chain, which need not exist.
-  /// @throws ChainError an entry was changed, left out or moved
+  /// @throws ChainError an entry was changed, left out or moved; the protocol cannot be locked
   explicit ComparisonChain(const ComparisonProtocol& protocol);
 
   const std::vector<ChainEntry>& entries() const { return entries_; }
@@ -90,6 +92,7 @@ class ComparisonChain {
 
   const ComparisonProtocol protocol_;
   const std::filesystem::path file_;
+  const Descriptor lock_;  ///< The protocol file, locked.
   std::vector<ChainEntry> entries_;
   std::vector<MeasurementState> states_;
   std::string accepted_;  ///< SHA-256 of the protocol; empty: none yet.

@@ -16,6 +16,7 @@
 #include "app/bench_file/stage_description_file.h"
 #include "app/measure/bench/fault_schedule.h"
 #include "app/measure/bench/instrument_leases.h"
+#include "app/measure/bench/kept_turns.h"
 #include "app/measure/bench/make_firmware.h"
 #include "app/measure/bench/stage_trial.h"
 #include "app/measure/bench/stage_watchdog.h"
@@ -205,6 +206,13 @@ class Opener {
     std::unique_ptr<RotationStage> stage =
         parts.size() == 1 ? std::move(parts[0])
                           : std::make_unique<SplitStage>(std::move(parts[0]), std::move(parts[1]));
+    if (!turns_) {
+      const auto ports = stage_ports(config_.stage);
+      const bool is_real = !streams_.replay && std::ranges::any_of(ports, [](const InstrumentPort& port) {
+        return port.port != kSimulated;
+      });
+      turns_ = is_real ? make_kept_turns() : std::make_shared<CountedTurns>();
+    }
     return std::make_unique<MountedStage>(std::move(stage), mountings, turns_);
   }
 
@@ -369,7 +377,7 @@ class Opener {
   /// Declared before the ports: it releases them after they are closed here.
   std::shared_ptr<HaltGuard> guard_;
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
-  const std::shared_ptr<CountedTurns> turns_ = std::make_shared<CountedTurns>();
+  std::shared_ptr<CountedTurns> turns_;  ///< Outlives each stage that is made.
 
   struct HaltPort {
     std::shared_ptr<wire::ByteStream> stream;

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <sstream>
@@ -130,6 +131,19 @@ TEST_F(PilotCommand, FromProtocolToReport) {
   EXPECT_THAT(test::read_file(folder / "a.html"), AllOf(HasSubstr("<svg"), HasSubstr("LAB4")));
   EXPECT_THAT(test::read_file(folder / "a.pdf").substr(0, 5), "%PDF-");
   EXPECT_EQ(pilot({"report", "c.toml", "--html", "a.html"}).exit_code, 2) << "exists";
+}
+
+TEST_F(PilotCommand, ResultsThatAreAddedAtOnceAreAllIn) {
+  const std::vector<std::string> names{"LAB1", "LAB2", "LAB1", "LAB3", "LAB4", "LAB1"};
+  std::vector<std::unique_ptr<test::Program>> adding;
+  for (std::size_t k = 0; k < names.size(); ++k) {
+    const std::string file = std::to_string(k + 1) + ".csv";
+    write_table(file, Made(), static_cast<unsigned>(k + 1));
+    adding.push_back(std::make_unique<test::Program>(
+        std::vector<std::string>{"pilot", "add", "c.toml", file, "--participant", names[k]}, folder.path()));
+  }
+  for (const auto& each : adding) EXPECT_EQ(each->wait(), 0) << each->err();
+  EXPECT_THAT(pilot({"status", "c.toml"}).out, HasSubstr("6 of 6"));
 }
 
 TEST_F(PilotCommand, ValuesAreShownWhenAllAreCommitted) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -16,7 +17,7 @@ namespace {
 class WrappingStage final : public RotationStage {
  public:
   struct Axes {
-    double turned_deg = 0.0;  ///< Of X, all turns.
+    double turned_deg = 0.0;  ///< Angle of X with all turns.
     std::vector<double> targets;
   };
   explicit WrappingStage(Axes& axes) : axes_(axes) {}
@@ -84,6 +85,23 @@ TEST_F(WrappedStageTest, TheCountOutlivesAStageThatIsMadeAgain) {
   }
   EXPECT_NEAR(made(turns)->encoder_angle(StageAxis::kX).deg(), 390.0, 1e-9);
   EXPECT_NEAR(made()->encoder_angle(StageAxis::kX).deg(), 30.0, 1e-9) << "within half a turn of its zero";
+}
+
+TEST_F(WrappedStageTest, AWoundCableIsNotTakenForUnwoundByASearchOfTheReference) {
+  axes_.turned_deg = 10.0;
+  const auto stage = made();
+  for (const double angle : {150.0, 300.0}) stage->move_to(StageAxis::kX, Angle::degrees(angle));
+  try {
+    stage->home(StageAxis::kX);
+    FAIL() << "a search may wind it further";
+  } catch (const InstrumentError& error) {
+    EXPECT_EQ(error.fault(), Fault::kNotReady);
+    EXPECT_THAT(error.what(), testing::HasSubstr("-300.0 deg from its zero"));
+  }
+  EXPECT_NEAR(axes_.turned_deg, -290.0, 1e-9) << "nothing was turned";
+  stage->move_to(StageAxis::kX, Angle::degrees(140.0));
+  stage->home(StageAxis::kX);
+  EXPECT_EQ(axes_.turned_deg, 0.0);
 }
 
 }  // namespace
