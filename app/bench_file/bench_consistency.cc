@@ -253,6 +253,7 @@ void check_description(TomlReader& reader, StageConfig& stage) {
     return;
   }
   for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+    if (stage.driver != kDescribed && axis->driver != kDescribed) continue;
     const auto& names = description.axis_names;
     if (!names.empty() && std::ranges::find(names, axis->axis) == names.end())
       reader.add_problem(std::string(section) + ".axis", "\"" + axis->axis + "\"",

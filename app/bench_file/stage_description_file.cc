@@ -12,6 +12,7 @@
 
 #include "app/bench_file/bench_config.h"
 #include "app/formats/toml_reader.h"
+#include "drivers/instrument/driver_catalogue.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
@@ -98,6 +99,7 @@ class DescriptionReader {
   /// A question and its reply, of which a field is needed.
   DescribedExchange question(const std::string& field) {
     DescribedExchange out{command_form("send", true), reply_form("expect", true), {}};
+    refuse_numbers("send", out.send, "");
     if (!field.empty() && !out.expect.empty() && !out.expect.has(field))
       reader_.refuse("expect", "\"" + out.expect.text() + "\"", "a reply with the field {" + field + "}");
     note(out.expect, "expect");
@@ -122,10 +124,31 @@ class DescriptionReader {
         if (!one.read_back.empty() && !one.expect.empty() && one.send.has(field) && !one.expect.has(field))
           reader_.refuse("expect", "\"" + one.expect.text() + "\"",
                          fmt::format("a reply with {{{}}}, which is compared with what was sent", field));
-      note(one.expect, "expect", section != "identify");
+      if (!one.read_back.empty() && one.send.has("increment"))
+        reader_.refuse("read_back", "of a move by an {increment}",
+                       "expect = \"...\", the reply that accepts it: an increment cannot be read back");
+      require_numbers(section, one);
+      note(one.expect, "expect", true);
       all.push_back(std::move(one));
     });
     return all;
+  }
+
+  /// Refuses a number that nothing would replace.
+  void require_numbers(const std::string& section, const DescribedExchange& one) {
+    const std::string known = section == "set_speed" ? "speed"
+                              : section != "move"    ? ""
+                              : out_.by_increments   ? "increment"
+                                                     : "angle";
+    refuse_numbers("send", one.send, known);
+    refuse_numbers("read_back", one.read_back, "");
+  }
+  void refuse_numbers(const char* key, const CommandForm& form, std::string_view known) {
+    for (const char* field : {"angle", "increment", "speed"})
+      if (form.has(field) && field != known)
+        reader_.refuse(key, fmt::format("{{{}}} in \"{}\"", field, form.text()),
+                       known.empty() ? "no number: none is known here"
+                                     : fmt::format("{{{}}}, the number that is known here", known));
   }
 
   /// Keeps a form for the checks between sections.
@@ -222,6 +245,7 @@ class DescriptionReader {
     out_.position = question("angle");
     reader_.section("status");
     out_.status.send = command_form("send", true);
+    refuse_numbers("send", out_.status.send, "");
     out_.moving = reply_form("moving", true);
     out_.stopped = reply_form("stopped", true);
     note(out_.moving, "moving");
@@ -231,15 +255,21 @@ class DescriptionReader {
         reader_.refuse("stopped", fmt::format("a reply that is also `moving`, such as \"{}\"", *both),
                        "two forms that no reply fits both: what may be a motion is never taken for rest");
     }
-    reader_.tables("fault", 0, [&](std::size_t) { out_.status_faults.push_back(fault()); });
+    reader_.tables("fault", 0, [&](std::size_t) {
+      out_.status_faults.push_back(fault());
+      note(out_.status_faults.back().expect, "expect");
+    });
     reader_.section("referenced");
     reader_.boolean("always", out_.always_referenced);
     if (out_.always_referenced) {
       if (!out_.home.empty()) reader_.refuse("always", "true, and [[home]]", "one of both");
     } else {
       out_.referenced = DescribedExchange{command_form("send", true), {}, {}};
+      refuse_numbers("send", out_.referenced->send, "");
       out_.is_referenced = reply_forms("yes");
       out_.is_not_referenced = reply_forms("no");
+      for (const ReplyForm& form : out_.is_referenced) note(form, "yes");
+      for (const ReplyForm& form : out_.is_not_referenced) note(form, "no");
       for (const char* key : {"yes", "no"})
         if ((key[0] == 'y' ? out_.is_referenced : out_.is_not_referenced).empty())
           reader_.refuse(key, "nothing", "forms of the replies, as [\"...\"]; or always = true");
@@ -289,11 +319,18 @@ class DescriptionReader {
 
   void read_halt() {
     reader_.section("halt");
-    std::string send, raw;
-    reader_.text("send", send);
-    reader_.text("raw", raw);
+    const CommandForm send_form = command_form("send", false), raw_form = command_form("raw", false);
+    refuse_numbers("send", send_form, "");
+    refuse_numbers("raw", raw_form, "");
+    const std::string &send = send_form.text(), &raw = raw_form.text();
     out_.halt_reply = reply_form("expect", false);
+    note(out_.halt_reply, "expect", true);
     reader_.text("spoil", out_.spoil);
+    if (out_.spoil.empty())
+      reader_.refuse(
+          "spoil", "nothing",
+          "characters that make a half-written command one that is refused, as spoil = \" ?\": the "
+          "program may die in the middle of a move's angle");
     if (send.empty() == raw.empty()) {
       reader_.section("");
       reader_.refuse("halt", send.empty() ? "no command" : "send and raw",
@@ -318,7 +355,10 @@ class DescriptionReader {
 
   void read_emulator() {
     reader_.section("emulator");
-    reader_.text("driver", out_.emulator_firmware);
+    std::vector<std::string> drivers;
+    for (const CataloguedDriver& driver : driver_catalogue().stages)
+      if (driver.has_port) drivers.push_back(driver.name);
+    reader_.text("driver", out_.emulator_firmware, drivers);
     for (const char* field : {"model", "firmware"}) {
       std::string value;
       reader_.text(field, value);
@@ -381,7 +421,7 @@ class DescriptionReader {
     if (out_.identify.empty() || out_.identify[0].expect.empty()) return;
     const ReplyPattern identity = out_.identify[0].expect.pattern();
     bool is_first = true;  // The identity itself.
-    for (const std::vector<PlacedForm>* forms : {&answers_, &acknowledgements_}) {
+    for (const std::vector<PlacedForm>* forms : {&answers_, &acknowledgements_, &refusals_}) {
       for (const PlacedForm& other : *forms) {
         if (std::exchange(is_first, false)) continue;
         if (const auto both = common_reply(identity, other.form.pattern()))

@@ -65,8 +65,8 @@ BenchConfig bench_of_trial(const TryOptions& options, const StageDescription& de
     if (!description.set_speed.empty()) axis->speed_deg_per_s = options.speed_deg_per_s;
     if (!description.wraps) continue;
     axis->wraps_deg = 360.0;
-    axis->travel_min_deg = -180.0;
-    axis->travel_max_deg = 180.0;
+    axis->travel_min_deg = -180.0 - 3.0 * options.move_deg;
+    axis->travel_max_deg = 180.0 + 3.0 * options.move_deg;
   }
   AccelerometerConfig& accelerometer = config.items.front().accelerometer;
   accelerometer.driver = accelerometer.port = kSimulated;
@@ -172,9 +172,10 @@ class Trial {
   void try_axis(StageAxis axis) const {
     const std::string name = fmt::format("axis {} (\"{}\")", to_string(axis), name_of(axis));
     const bool searches = !bench_.stage->identify().axes[index(axis)].referenced;
-    require_yes(fmt::format("{}: {} begins and is halted after a moment. Is the way free{}?", name,
-                            searches ? "the search of the reference" : "a move",
-                            is_wrapped(axis) ? ", and the cable not wound" : ""));
+    require_yes(fmt::format(
+        "{}: its drive is switched on, {} begins and is halted after a moment. Is the way free{}?", name,
+        searches ? "the search of the reference" : "a move",
+        is_wrapped(axis) ? ", and the cable not wound" : ""));
     if (searches) {
       bench_.stage->home(axis);
     } else {

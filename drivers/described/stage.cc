@@ -1,6 +1,7 @@
 #include "drivers/described/stage.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
@@ -481,12 +482,13 @@ class DescribedController final : public wire::LineController {
                     fmt::format("it is a {}, and the description {} is of other models", info.model,
                                 description_.source));
     const std::string identity = info.maker + " " + info.model + " " + info.serial_number;
-    if (!description_.tried_with.empty() && identity != description_.tried_with)
+    const auto& tried = description_.tried_with;
+    if (!tried.empty() && std::find(tried.begin(), tried.end(), identity) == tried.end())
       throw failure(
           Fault::kWrongIdentity,
           fmt::format("it is \"{}\", and the description was tried with \"{}\"; required: abcal stage "
                       "try with this stage",
-                      identity, description_.tried_with));
+                      identity, fmt::join(tried, "\", \"")));
     for (const StageAxis axis : kStageAxes)
       if (is_here(axis)) info.axes[index(axis)] = axis_info(axis);
     std::string who = "stage " + info.maker + " " + info.model;
@@ -587,6 +589,15 @@ class DescribedController final : public wire::LineController {
     return report;
   }
 
+  /// The replies also with blanks around them, as normal_line() removes them.
+  static ReplyPattern with_blanks(ReplyPattern pattern) {
+    for (std::vector<ReplyPart>& parts : pattern.alternatives) {
+      parts.insert(parts.begin(), pattern::spaces());
+      parts.push_back(pattern::spaces());
+    }
+    return pattern;
+  }
+
   std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe;
     recipe.driver = "described";
@@ -598,7 +609,7 @@ class DescribedController final : public wire::LineController {
     // Replies before the identity belong to commands of the owner.
     const DescribedExchange& identity = description_.identify[0];
     recipe.questions.push_back({.bytes = command_of(identity.send, std::nullopt, {}),
-                                .reply = identity.expect.pattern(),
+                                .reply = with_blanks(identity.expect.pattern()),
                                 .standing = {}});
     ReplyPattern any = description_.moving.pattern() | description_.stopped.pattern();
     for (const DescribedFault& fault : description_.status_faults)
@@ -607,8 +618,8 @@ class DescribedController final : public wire::LineController {
       if (!is_here(axis)) continue;
       recipe.axes[index(axis)] = true;
       recipe.questions.push_back({.bytes = command_of(description_.status.send, axis, {}),
-                                  .reply = any,
-                                  .standing = description_.stopped.pattern()});
+                                  .reply = with_blanks(any),
+                                  .standing = with_blanks(description_.stopped.pattern())});
     }
     return {recipe};
   }

@@ -54,9 +54,8 @@ std::optional<std::uint32_t> hex_number(std::string_view text) {
 
 constexpr const char* kReplyFields =
     "{angle}, {speed}, {lower}, {upper} or {units_per_turn} for a number, {model}, {serial}, {firmware}, "
-    "{maker} or {text} for a text, {word}, {digits}, {digits2}, {0..39}, {hex4}, {hex4 none 0002}, {hex4 "
-    "some "
-    "0002}";
+    "{maker} or {text} for a text, {word}, {number}, {digits}, {digits2}, {0..39}, {hex}, {hex4}, {hex4 none "
+    "0002}, {hex4 some 0002}";
 
 /// A word in braces with a number behind it: "digits2".
 std::optional<std::uint32_t> count_behind(std::string_view field, std::string_view word) {
@@ -357,12 +356,6 @@ bool matches_glob(std::string_view glob, std::string_view text) {
   return !text.empty() && glob.front() == text.front() && matches_glob(glob.substr(1), text.substr(1));
 }
 
-std::string replaced(std::string text, std::string_view what, std::string_view with) {
-  for (std::size_t at = text.find(what); at != std::string::npos; at = text.find(what, at + with.size()))
-    text.replace(at, what.size(), with);
-  return text;
-}
-
 }  // namespace
 
 ReplyForm::ReplyForm(std::string text) : text_(std::move(text)) {
@@ -556,12 +549,15 @@ std::optional<FieldValues> CommandForm::match(
 
 std::string StageDescription::stop_bytes(const std::array<std::string, 2>& names,
                                          const std::string& address_of_stage) const {
-  const std::string addressed =
-      replaced(halt, "{address}", address_of_stage.empty() ? address : address_of_stage);
-  if (addressed.find("{axis}") == std::string::npos) return addressed;
+  const CommandForm form(halt);
+  FieldValues texts{{"address", address_of_stage.empty() ? address : address_of_stage}};
+  if (!form.has("axis")) return form.with(texts, {});
   std::string all;
-  for (const std::string& name : names)
-    if (!name.empty()) all += replaced(addressed, "{axis}", name);
+  for (const std::string& name : names) {
+    if (name.empty()) continue;
+    texts["axis"] = name;
+    all += form.with(texts, {});
+  }
   return all;
 }
 

@@ -123,7 +123,8 @@ struct StageDescription {
   std::string text;                 ///< The whole file.
   std::string sha256;               ///< For the text.
   std::string source;               ///< For messages: its name or path.
-  std::string tried_with;           ///< Maker, model and serial number of the trial; empty: any stage.
+  /// Maker, model and serial number of each stage that has passed a trial; empty: any stage.
+  std::vector<std::string> tried_with;
 
   // The line.
   unsigned baud = 9600;

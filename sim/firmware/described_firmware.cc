@@ -61,6 +61,7 @@ class DescribedFirmware::Controller final : public Firmware {
     for (const char c : bytes) {
       line_ += c;
       if (line_.ends_with(description_->command_end)) {
+        if (description_->echoes) replies_.push(line_, now_);
         line_.resize(line_.size() - description_->command_end.size());
         take(std::string(pieces::trimmed(std::exchange(line_, {}))));
       } else if (line_.size() > kLongestDescribedCommand) {

@@ -296,14 +296,14 @@ class Opener {
   void require_trial(StageSettings& settings) const {
     if (streams_.is_trial || streams_.replay) return;
     const StageDescription& description = *settings.description;
-    const auto trial = find_stage_trial(description.sha256);
-    if (!trial)
+    const std::vector<StageTrial> trials = find_stage_trials(description.sha256);
+    if (trials.empty())
       throw std::invalid_argument(
           "the description " + description.source +
           " has not been tried on a stage in its present form; required: abcal stage try " +
           description.source + " --port PORT, with a person at the stage");
     auto tried = std::make_shared<StageDescription>(description);
-    tried->tried_with = trial->maker + " " + trial->model + " " + trial->serial_number;
+    for (const StageTrial& trial : trials) tried->tried_with.push_back(trial.stage());
     settings.description = std::move(tried);
   }
 
@@ -377,7 +377,7 @@ class Opener {
   /// Declared before the ports: it releases them after they are closed here.
   std::shared_ptr<HaltGuard> guard_;
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
-  std::shared_ptr<CountedTurns> turns_;  ///< Outlives each stage that is made.
+  std::shared_ptr<CountedTurns> turns_;                ///< Outlives each stage that is made.
 
   struct HaltPort {
     std::shared_ptr<wire::ByteStream> stream;

@@ -1,7 +1,7 @@
 #pragma once
 
-#include <optional>
 #include <string>
+#include <vector>
 
 namespace abcal {
 
@@ -9,11 +9,14 @@ namespace abcal {
 struct StageTrial {
   std::string sha256;
   std::string maker, model, serial_number;
-  std::string utc;
+  std::string utc{};
+
+  /// In words: "RT RT-2 00412".
+  std::string stage() const { return maker + " " + model + " " + serial_number; }
 };
 
-/// The trial with this text that was kept last in the folder of this user's logs; nothing if there is none.
-std::optional<StageTrial> find_stage_trial(const std::string& sha256);
+/// The trials with this text, in the folder of this user's logs: one for each stage.
+std::vector<StageTrial> find_stage_trials(const std::string& sha256);
 /// @throws std::runtime_error if it cannot be kept
 void keep_stage_trial(const StageTrial& trial);
 
