@@ -138,8 +138,8 @@ TEST_F(DescribedStageTest, ATableThatMovesWhenItIsPreparedIsHalted) {
 TEST_F(DescribedStageTest, HaltsInMotionAndByTheRecipeAlone) {
   home(stage_);
   for (const bool by_recipe : {false, true}) {
-    stage_.move_to(StageAxis::kX, Angle::degrees(by_recipe ? 10 : 150));
-    stage_.move_to(StageAxis::kZ, Angle::degrees(by_recipe ? 10 : 150));
+    stage_.move_to(StageAxis::kX, Angle::degrees(by_recipe ? 80 : 150));
+    stage_.move_to(StageAxis::kZ, Angle::degrees(by_recipe ? 80 : 150));
     clock_.sleep_until(clock_.now() + 500ms);
     ASSERT_TRUE(world_->moving(StageAxis::kX, clock_.now()));
     if (by_recipe) {
