@@ -74,8 +74,9 @@ endfunction()
 include("${CMAKE_CURRENT_LIST_DIR}/../cmake/layers.cmake")
 
 # --- Only a driver's folder names it ---------------------------------------------------------------------------------------
-# Exceptions: the lists of simulated instruments and of their serial numbers, and a bench file in the self-test.
-set(may_name_drivers app/measure/bench/make_firmware.cc sim/emulated_serial_numbers.cc app/commands/validation/self_test.cc)
+# Exceptions: the lists of simulated instruments and of their serial numbers, a bench file in the self-test, and the driver whose
+# instrument a file of the user describes.
+set(may_name_drivers app/bench_file/bench_config.h app/measure/bench/make_firmware.cc sim/emulated_serial_numbers.cc app/commands/validation/self_test.cc)
 set(driver_names "")
 foreach(registration IN LISTS registrations)
   file(STRINGS "${SOURCE_DIR}/${registration}" lines REGEX "\\.name = \"")

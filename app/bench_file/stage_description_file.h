@@ -13,7 +13,7 @@ struct StageConfig;
 
 /// A description that is built into the program.
 struct ShippedDescription {
-  std::string_view name;  ///< "zaber_ascii"
+  std::string_view name;  ///< As bench files name it.
   std::string_view text;
 };
 const std::vector<ShippedDescription>& shipped_descriptions();

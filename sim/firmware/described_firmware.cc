@@ -179,6 +179,7 @@ class DescribedFirmware::Controller final : public Firmware {
     if (!values.contains("model")) {
       std::string model = description_->models.empty() ? "" : description_->models.front();
       std::erase(model, '*');
+      if (model.empty()) model = "1";
       values["model"] = model;
     }
     values["serial"] = settings_.serial_number;

@@ -149,6 +149,7 @@ TEST_F(StageTrialTest, CtrlCHaltsTheStageAndNothingCountsAsTried) {
   say_yes(*person, 3);  // To halt it, to search the reference, to move.
   ASSERT_TRUE(test::wait_for([&] { return control_->anything_moves(); }, 10s)) << person->shown();
   person->type("\x03");
+  while (person->read_more()) continue;
   EXPECT_EQ(person->wait(), kExitInterrupted) << person->shown();
   EXPECT_FALSE(control_->anything_moves());
   EXPECT_THAT(person->shown(), HasSubstr("counts as not tried"));
