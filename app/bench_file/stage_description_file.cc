@@ -60,27 +60,20 @@ class DescriptionReader {
     reader_.refuse(key, words.substr(0, at), has_both ? words.substr(at + 12) : "another form");
   }
 
-  ReplyForm reply_form(const std::string& key, bool required) {
+  /// A ReplyForm or a CommandForm; an empty one if it is refused.
+  template <class Form>
+  Form form(const std::string& key, bool required) {
     std::string text;
     required ? reader_.required_text(key, text) : reader_.text(key, text);
     try {
-      return ReplyForm(text);
+      return Form(text);
     } catch (const std::invalid_argument& error) {
       refuse_by(key, error);
       return {};
     }
   }
-
-  CommandForm command_form(const std::string& key, bool required) {
-    std::string text;
-    required ? reader_.required_text(key, text) : reader_.text(key, text);
-    try {
-      return CommandForm(text);
-    } catch (const std::invalid_argument& error) {
-      refuse_by(key, error);
-      return {};
-    }
-  }
+  ReplyForm reply_form(const std::string& key, bool required) { return form<ReplyForm>(key, required); }
+  CommandForm command_form(const std::string& key, bool required) { return form<CommandForm>(key, required); }
 
   std::vector<ReplyForm> reply_forms(const std::string& key) {
     std::vector<std::string> texts;

@@ -3,9 +3,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include <array>
 #include <cmath>
-#include <ctime>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -21,9 +19,11 @@
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
+#include "app/system/real_clock.h"
 #include "app/system/typed_line.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/text/text.h"
+#include "protocol/record/run_file.h"
 #include "protocol/record/run_interrupted.h"
 
 namespace abcal {
@@ -212,15 +212,6 @@ class Trial {
   const TryOptions& options_;
 };
 
-std::string utc_now() {
-  const std::time_t now = std::time(nullptr);
-  std::tm time{};
-  ::gmtime_r(&now, &time);
-  std::array<char, 32> text{};
-  const std::size_t length = std::strftime(text.data(), text.size(), "%Y-%m-%dT%H:%M:%SZ", &time);
-  return {text.data(), length};
-}
-
 int try_stage(const TryOptions& options) {
   StageConfig stage;
   stage.description = options.description;
@@ -240,7 +231,8 @@ int try_stage(const TryOptions& options) {
                  options.description);
     return kExitDone;
   }
-  keep_stage_trial({description.sha256, info.maker, info.model, info.serial_number, utc_now()});
+  keep_stage_trial(
+      {description.sha256, info.maker, info.model, info.serial_number, format_utc(RealClock().utc_now())});
   print_result("{}: passed on {}. Bench files may use it: driver = \"described\"\n", options.description,
                options.port);
   return kExitDone;
