@@ -14,6 +14,7 @@
 #include "app/studies/trials/measured_run.h"
 #include "app/studies/trials/parallel_trials.h"
 #include "protocol/estimators/checks/comparison.h"
+#include "protocol/estimators/circle/abc_estimator.h"
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/joint_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
@@ -28,7 +29,7 @@ constexpr double kLowPassHz = 5.0;
 constexpr double kRipple = 4e-4;
 
 /// Groups of outputs, in the order of Group.
-enum Group { kS, kO, kPhi, kFrame, kAmplitude, kPhase, kGroups };
+enum Group { kS, kO, kPhi, kFrame, kAmplitude, kPhase, kAbcS, kAbcO, kAbcPhi, kGroups };
 struct GroupWords {
   const char* name;
   const char* unit;
@@ -38,7 +39,10 @@ constexpr std::array<GroupWords, kGroups> kGroupWords{{{"s", "1"},
                                                        {"phi", "degree"},
                                                        {"s_vz, s_wy", "1"},
                                                        {"amplitude", "1"},
-                                                       {"phase", "degree"}}};
+                                                       {"phase", "degree"},
+                                                       {"s by ABC", "1"},
+                                                       {"O by ABC", "1"},
+                                                       {"phi by ABC", "degree"}}};
 
 struct Design {
   const char* words;
@@ -59,7 +63,7 @@ const std::array<Design, 2>& designs() {
              60.0,
              200.0,
              87.0,
-             {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0}},
+             {1.0e-5, 4e-5, 5e-4, 1e-4, 0.0, 0.0, 0.0, 0.0, 0.0}},
       Design{"180 up, 180 down, 20 up (degree/s), 300 degree/s2, 200 Hz, encoder recorded (jitter 0.05 ms)",
              {180.0, 180.0, 20.0},
              200.0,
@@ -67,7 +71,7 @@ const std::array<Design, 2>& designs() {
              180.0,
              300.0,
              90.0,
-             {1.1e-5, 0.0, 0.0, 0.0, 1e-4, 0.01}}};
+             {1.1e-5, 0.0, 0.0, 0.0, 1e-4, 0.01, 0.0, 0.0, 0.0}}};
   return kDesigns;
 }
 
@@ -186,6 +190,7 @@ Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench, b
   const CalibrationResult result = joint_result(record, fit_item(record, {}));
   if (!result.sensitivity_matrix || !result.joint || !result.joint->motion) return out;
   out.solved = true;
+  const CalibrationResult abc = analyse_abc(record);
 
   sim::BenchTruth still = drawn.truth;
   still.drift_1 = still.drift_2 = still.drift_3 = still.sensitivity_drift = Eigen::Vector3d::Zero();
@@ -200,6 +205,10 @@ Trial run_trial(const Design& design, std::uint64_t seed, std::uint64_t bench, b
     add(kS, result.intrinsic_sensitivity[j], intrinsic.sensitivity(at));
     add(kPhi, result.intrinsic_angle[j], intrinsic.angle_deg(at));
     add(kO, result.offset[j], truth.offset(at));
+    if (!abc.sensitivity_matrix) continue;
+    add(kAbcS, abc.intrinsic_sensitivity[j], intrinsic.sensitivity(at));
+    add(kAbcPhi, abc.intrinsic_angle[j], intrinsic.angle_deg(at));
+    add(kAbcO, abc.offset[j], truth.offset(at));
   }
   const auto& s = *result.sensitivity_matrix;
   for (const auto& [j, k] : {std::pair<std::size_t, std::size_t>{1, 2}, {2, 1}})

@@ -111,6 +111,7 @@ SeriesTable series_of(const Selection& selection) {
       series.alpha.push_back(angle_in_face_1(dwell.experiment, dwell.face, dwell.alpha));
       series.readings.push_back(dwell.mean(j));
       if (selection.with_uncertainty) series.u.push_back((*dwell.u_mean)(j));
+      if (dwell.motion) series.rate_radps.push_back(Angle::degrees(dwell.motion->rate_deg_per_s).rad());
     }
   }
   return table;
@@ -581,7 +582,7 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
 
 void fill_faces(const RunRecord& record, const Selection& selection, const Estimate& estimate,
                 CalibrationResult& result, Objections& objections) {
-  if (!has_two_faces(record)) return;
+  if (!has_two_faces(record) || is_at_constant_rate(record)) return;
   try {
     result.faces =
         results_of_faces({selection.dwells, estimate.cleaned, estimate.cleaned_fits, &*estimate.curvature,
@@ -707,13 +708,14 @@ void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& 
                   result.response_unit, test.expected_rms));
     }
     try {
-      const HarmonicFit second = fit_harmonics(series.alpha, series.readings, series.u, kDiagnosticHarmonics);
+      const HarmonicFit second =
+          fit_harmonics(series.alpha, series.readings, series.u, kDiagnosticHarmonics, series.by_motion);
       diagnostic.harmonics = harmonics_of(second, by_dwell_of(second, series), j, estimate);
       diagnostic.harmonics_residual_rms =
           std::sqrt(second.residuals.squaredNorm() / static_cast<double>(diagnostic.angles));
       FitDiagnostic without_curvature = diagnostic;
-      const HarmonicFit of_cleaned =
-          fit_harmonics(series.alpha, estimate.cleaned[i].readings, series.u, kDiagnosticHarmonics);
+      const HarmonicFit of_cleaned = fit_harmonics(series.alpha, estimate.cleaned[i].readings, series.u,
+                                                   kDiagnosticHarmonics, series.by_motion);
       without_curvature.harmonics =
           harmonics_of(of_cleaned, cleaned_by_dwell(of_cleaned, series, *estimate.curvature), j, estimate);
       judge_harmonics(without_curvature, estimate, result, objections);
@@ -771,8 +773,6 @@ void note_type_a(const Selection& selection, const Estimate& estimate, Calibrati
 
 // The reason why the record cannot be analysed; empty if it may be.
 Message refusal(const RunRecord& record, const Selection& selection) {
-  if (is_at_constant_rate(record))
-    return Message("the stage turned at constant rates: the joint estimator evaluates such a run");
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
     if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {
@@ -953,9 +953,14 @@ PublishedResult published_result(const Estimate& estimate, const CalibrationResu
 Message estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
   estimate.series = series_of(selection);
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
-    const ReadingSeries& series = estimate.series[i];
+    ReadingSeries& series = estimate.series[i];
     try {
       estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
+      // The columns are those of the sine at rest, which the second pass knows.
+      for (int pass = 0; pass < 2 && !series.rate_radps.empty(); ++pass) {
+        series.by_motion = columns_of_motion(estimate.fits[i], series.rate_radps);
+        estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1, series.by_motion);
+      }
     } catch (const UndeterminedFit& error) {
       return not_determined(series, error.message());
     }
@@ -969,7 +974,7 @@ Message estimate_from(const RunRecord& record, const Selection& selection, Estim
   estimate.cleaned = estimate.curvature->cleaned(estimate.series);
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
     const ReadingSeries& series = estimate.cleaned[i];
-    estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
+    estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1, series.by_motion);
   }
   if (!selection.with_uncertainty) pool_variances(estimate.cleaned_fits, *estimate.curvature, estimate);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);

@@ -82,8 +82,8 @@ void CurvatureFit::fit_output(int output, std::span<const DwellRecord* const> dw
       const int place = of.place_of[static_cast<std::size_t>(n)];
       for (int m = 0; place >= 0 && m < 2; ++m) shapes[m][static_cast<std::size_t>(place)] = shape_[j](m, n);
     }
-    const HarmonicFit of_shape[2] = {fit_harmonics(of.alpha, shapes[0], of.u, 1),
-                                     fit_harmonics(of.alpha, shapes[1], of.u, 1)};
+    const HarmonicFit of_shape[2] = {fit_harmonics(of.alpha, shapes[0], of.u, 1, of.by_motion),
+                                     fit_harmonics(of.alpha, shapes[1], of.u, 1, of.by_motion)};
     for (Eigen::Index n = 0; n < count; ++n) {
       const int place = of.place_of[static_cast<std::size_t>(n)];
       if (place < 0) continue;

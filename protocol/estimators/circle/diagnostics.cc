@@ -5,23 +5,6 @@
 
 namespace abcal {
 
-namespace {
-
-Eigen::MatrixXd design_of(const ReadingSeries& series, int harmonics) {
-  Eigen::MatrixXd design(static_cast<Eigen::Index>(series.alpha.size()), 2 * harmonics + 1);
-  for (Eigen::Index i = 0; i < design.rows(); ++i) {
-    design(i, 0) = 1.0;
-    for (int k = 1; k <= harmonics; ++k) {
-      const SinCos sc = sincos(series.alpha[static_cast<std::size_t>(i)] * k);
-      design(i, 2 * k - 1) = sc.sin;
-      design(i, 2 * k) = sc.cos;
-    }
-  }
-  return design;
-}
-
-}  // namespace
-
 Eigen::VectorXd effect_on_fit(const InputEffect& effect, const ReadingSeries& series,
                               const HarmonicFit& fit) {
   Eigen::VectorXd change = Eigen::VectorXd::Zero(fit.coefficients.size());
@@ -37,7 +20,7 @@ ResidualTest test_residuals(const ReadingSeries& series, const HarmonicFit& fit,
   ResidualTest test;
   const auto count = static_cast<Eigen::Index>(series.readings.size());
   if (fit.degrees_of_freedom() < 1) return test;
-  const Eigen::MatrixXd design = design_of(series, fit.harmonics);
+  const Eigen::MatrixXd& design = fit.design;
   const Eigen::MatrixXd gram = design.transpose() * design;
 
   // Independent part: one variance a reading. ||(I - H) e_k||^2 = 1 - 2 H_kk + g_k' A'A g_k, g_k = column of

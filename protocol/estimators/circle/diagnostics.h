@@ -22,8 +22,10 @@ struct ReadingSeries {
   int accelerometer = 0;  ///< 0, 1, 2 = u, v, w
   /// Where the reading is taken in face 1, or would be to see the same gravity (angle_in_face_1()).
   std::vector<Angle> alpha;
-  std::vector<double> readings;  ///< R
-  std::vector<double> u;         ///< Standard uncertainty of each (R); empty: not known.
+  std::vector<double> readings;    ///< R
+  std::vector<double> u;           ///< Standard uncertainty of each (R); empty: not known.
+  std::vector<double> rate_radps;  ///< Rate of the axis at each; empty: the stage was at rest.
+  Eigen::MatrixXd by_motion;       ///< Columns of its fits beside the harmonics; empty: at rest.
   /// For each reading triple in use (of all experiments): its place in this series, or -1.
   std::vector<int> place_of;
 };

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <map>
 #include <numbers>
 #include <stdexcept>
 #include <utility>
@@ -29,11 +30,21 @@ EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<con
   const Eigen::Matrix3d rows = s.rowwise().normalized();
   for (std::size_t i = 0; i < dwells.size(); ++i) {
     const SinCos alpha = sincos(dwells[i]->alpha);
-    out.poses.push_back(StagePose::of(dwells[i]->experiment, dwells[i]->face, alpha.sin, alpha.cos));
-    out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
+    StagePose& pose =
+        out.poses.emplace_back(StagePose::of(dwells[i]->experiment, dwells[i]->face, alpha.sin, alpha.cos));
+    if (const auto& motion = dwells[i]->motion) {
+      pose.rate_radps = pose.mean_rate_radps = Angle::degrees(motion->rate_deg_per_s).rad();
+      pose.acceleration_radps2 = Angle::degrees(motion->acceleration_deg_per_s2).rad();
+    }
+    out.gravity.push_back(gravity_at(pose, StageInputs::Zero()));
     out.points.push_back({time_fractions[i], rows * out.gravity.back().g, signs[i]});
+    out.points.back().turn(pose, rows, out.gravity.back());
   }
   return out;
+}
+
+bool in_motion(std::span<const DwellRecord* const> dwells) {
+  return std::ranges::any_of(dwells, [](const DwellRecord* dwell) { return dwell->motion.has_value(); });
 }
 
 /// Unit in which a budget shows an unknown, and the size of that unit in the table's unit.
@@ -43,12 +54,12 @@ std::pair<std::string, double> shown_unit(const StageEffect& effect) {
   return {"degree", kRadianPerDegree};
 }
 
-void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
-                       std::vector<InputEffect>& effects) {
+void add_stage_effects(const EffectPlaces& places, bool turns, const Eigen::Matrix3d& s,
+                       const EffectSizes& sizes, std::vector<InputEffect>& effects) {
   for (const StageEffect& entry : stage_effects()) {
     const bool in_run =
         std::ranges::any_of(places.poses, [&](const StagePose& pose) { return pose.face >= entry.face; });
-    if (!in_run || entry.in_motion) continue;
+    if (!in_run || (entry.in_motion && !turns)) continue;
     const auto [unit, size] = shown_unit(entry);
     for (int i = 0; i < entry.count; ++i) {
       const std::string which = entry.unknown_name(i);
@@ -70,11 +81,12 @@ void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, con
   }
 }
 
-void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
-                      const std::string& response_unit, std::vector<InputEffect>& effects) {
+void add_item_effects(const EffectPlaces& places, bool turns, const Eigen::Matrix3d& s,
+                      const EffectSizes& sizes, const std::string& response_unit,
+                      std::vector<InputEffect>& effects) {
   const Eigen::Matrix3d rows = s.rowwise().normalized();
   for (const ItemEffect& entry : item_effects()) {
-    if (entry.in_motion) continue;
+    if (entry.in_motion && !turns) continue;
     for (int i = 0; i < entry.count; ++i) {
       for (int j = 0; j < 3; ++j) {
         const std::string which = entry.unknown_name(i);
@@ -121,6 +133,71 @@ void add_unknown_signs(std::span<const DwellRecord* const> dwells, const std::ve
   }
 }
 
+/// The change of the readings by an angle error of the axis that moves, by 1 degree.
+Eigen::Vector3d by_degree(const EffectPlaces& places, std::size_t n, const Eigen::Matrix3d& s) {
+  const int moving = moving_angle_input(places.poses[n].experiment);
+  return kRadianPerDegree * s * places.gravity[n].by_input.col(moving);
+}
+
+/// Adds what is not known of the angles of each sweep: their mean and their course around the circle.
+void add_sweeps(std::span<const DwellRecord* const> dwells, const EffectPlaces& places,
+                const Eigen::Matrix3d& s, const EffectSizes& sizes, std::vector<InputEffect>& effects) {
+  std::map<std::array<int, 3>, std::vector<std::size_t>> sweeps;
+  for (std::size_t n = 0; n < dwells.size(); ++n)
+    if (dwells[n]->motion)
+      sweeps[{dwells[n]->experiment, dwells[n]->face, dwells[n]->motion->sweep}].push_back(n);
+  for (const auto& [which, readings] : sweeps) {
+    const auto turned_deg = [&](std::size_t n) { return dwells[n]->alpha.deg(); };
+    const auto [low, high] = std::ranges::minmax_element(readings, {}, turned_deg);
+    const double middle_deg = 0.5 * (turned_deg(*low) + turned_deg(*high));
+    const double course_deg = dwells[readings.front()]->motion->u_angle_deg;
+    for (int i = 0; i < kSweepUnknowns; ++i) {
+      InputEffect effect;
+      effect.name = fmt::format("angles of sweep {} of experiment {}, part {}", which[2], which[0], i + 1);
+      effect.group = "angles of the sweeps";
+      effect.key = "sweep_deg";
+      effect.unit = "degree";
+      effect.standard_uncertainty = i == 0 ? std::hypot(course_deg, sizes.sweep.deg()) : course_deg;
+      if (effect.standard_uncertainty == 0.0) continue;
+      effect.first_reading = readings.front();
+      effect.effect.assign(readings.back() - readings.front() + 1, Eigen::Vector3d::Zero());
+      for (const std::size_t n : readings)
+        effect.effect[n - readings.front()] =
+            by_degree(places, n, s) *
+            sweep_shares(Angle::degrees(turned_deg(n) - middle_deg).rad()).value[static_cast<std::size_t>(i)];
+      effects.push_back(std::move(effect));
+    }
+  }
+}
+
+/// Adds f_i(n) of each reading. The sweeps of a circle share it at one angle: the stage errs there alike.
+void add_steps(std::span<const DwellRecord* const> dwells, const EffectPlaces& places,
+               const Eigen::Matrix3d& s, double step_deg, std::vector<InputEffect>& effects) {
+  std::map<std::array<int, 3>, std::vector<std::size_t>> shared;
+  for (std::size_t k = 0; k < dwells.size(); ++k) {
+    const DwellRecord& dwell = *dwells[k];
+    const bool at_rest = !dwell.motion;
+    shared[{dwell.experiment, at_rest ? static_cast<int>(k) : dwell.face, at_rest ? -1 : dwell.n}].push_back(
+        k);
+  }
+  std::vector<const std::vector<std::size_t>*> in_order;
+  for (const auto& [which, readings] : shared) in_order.push_back(&readings);
+  std::ranges::sort(in_order, {}, [](const std::vector<std::size_t>* readings) { return readings->front(); });
+  for (const std::vector<std::size_t>* readings : in_order) {
+    const DwellRecord& first = *dwells[readings->front()];
+    InputEffect effect;
+    effect.name = fmt::format("f_{}({})", first.experiment, first.n);
+    effect.group = fmt::format("f_{}", first.experiment);
+    effect.key = "step_deg";
+    effect.unit = "degree";
+    effect.standard_uncertainty = step_deg;
+    effect.first_reading = readings->front();
+    effect.effect.assign(readings->back() - readings->front() + 1, Eigen::Vector3d::Zero());
+    for (const std::size_t n : *readings) effect.effect[n - readings->front()] = by_degree(places, n, s);
+    effects.push_back(std::move(effect));
+  }
+}
+
 }  // namespace
 
 std::vector<InputEffect> first_order_effects(const FirstOrderReadings& readings,
@@ -139,23 +216,13 @@ std::vector<InputEffect> first_order_effects(const FirstOrderReadings& readings,
   const EffectPlaces places = places_of(dwells, time_fractions, s, signs);
   std::vector<InputEffect> effects;
   effects.reserve(150 + dwells.size());
-  add_stage_effects(places, s, sizes, effects);
-  add_item_effects(places, s, sizes, response_unit, effects);
+  const bool turns = in_motion(dwells);
+  add_stage_effects(places, turns, s, sizes, effects);
+  add_item_effects(places, turns, s, sizes, response_unit, effects);
+  if (turns) add_sweeps(dwells, places, s, sizes, effects);
   add_unknown_signs(dwells, signs, sizes.hysteresis * s.rowwise().norm(), response_unit, effects);
   std::erase_if(effects, [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
-  const double step = step_prior(sizes) / kRadianPerDegree;
-  for (std::size_t k = 0; step > 0.0 && k < dwells.size(); ++k) {
-    InputEffect effect;
-    effect.name = fmt::format("f_{}({})", dwells[k]->experiment, dwells[k]->n);
-    effect.group = fmt::format("f_{}", dwells[k]->experiment);
-    effect.key = "step_deg";
-    effect.unit = "degree";
-    effect.standard_uncertainty = step;
-    effect.first_reading = k;
-    effect.effect.push_back(kRadianPerDegree * s *
-                            places.gravity[k].by_input.col(moving_angle_input(dwells[k]->experiment)));
-    effects.push_back(std::move(effect));
-  }
+  if (step_prior(sizes) > 0.0) add_steps(dwells, places, s, step_prior(sizes) / kRadianPerDegree, effects);
   return effects;
 }
 

@@ -65,18 +65,26 @@ void require_sound(std::span<const Angle> alpha, std::span<const double> reading
 }  // namespace
 
 HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> readings,
-                          std::span<const double> u, int harmonics) {
+                          std::span<const double> u, int harmonics, const Eigen::MatrixXd& further) {
   require_sound(alpha, readings, u, harmonics);
   const auto rows = static_cast<Eigen::Index>(readings.size());
-  const Eigen::Index columns = 2 * harmonics + 1;
+  const Eigen::Index own = 2 * harmonics + 1;
   const int distinct = count_distinct(alpha);
-  if (distinct < columns) {
+  if (distinct < own) {
     throw UndeterminedFit(fmt::format("{} distinct angle{} cannot determine {}; at least {} are required",
                                       distinct, distinct == 1 ? "" : "s", coefficients_in_words(harmonics),
-                                      columns));
+                                      own));
   }
+  std::vector<Eigen::Index> used;
+  for (Eigen::Index c = 0; c < further.cols(); ++c)
+    if (!further.col(c).isZero(0.0)) used.push_back(c);
+  const Eigen::Index columns = own + static_cast<Eigen::Index>(used.size());
 
-  Eigen::MatrixXd design(rows, columns);
+  HarmonicFit fit;
+  Eigen::MatrixXd& design = fit.design;
+  design.resize(rows, columns);
+  for (Eigen::Index c = own; c < columns; ++c)
+    design.col(c) = further.col(used[static_cast<std::size_t>(c - own)]);
   Eigen::VectorXd weight = Eigen::VectorXd::Ones(rows);  // 1/u: square roots of the usual weights
   const double u_smallest = u.empty() ? 1.0 : *std::min_element(u.begin(), u.end());
   for (Eigen::Index i = 0; i < rows; ++i) {
@@ -94,17 +102,18 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
   const PivotedQr qr(scaled_columns(weighted_design, column_scale));
   const Eigen::VectorXd of_scaled = singular_values(qr.upper());
 
-  HarmonicFit fit;
   fit.harmonics = harmonics;
   fit.weighted = !u.empty();
   fit.rank = static_cast<int>(qr.rank());
   fit.reciprocal_condition = of_scaled(columns - 1) / of_scaled(0);
   if (fit.rank < columns || !(fit.reciprocal_condition >= kSmallestReciprocalCondition)) {
-    throw UndeterminedFit(
-        fmt::format("{} angles cannot determine {}: rank {}, reciprocal condition {:.1e}; a rank of {} and "
-                    "{:.0e} are required (spread the angles over the circle)",
-                    readings.size(), coefficients_in_words(harmonics), fit.rank, fit.reciprocal_condition,
-                    columns, kSmallestReciprocalCondition));
+    throw UndeterminedFit(fmt::format(
+        "{} angles cannot determine {}: rank {}, reciprocal condition {:.1e}; a rank of {} and "
+        "{:.0e} are required ({})",
+        readings.size(), coefficients_in_words(harmonics), fit.rank, fit.reciprocal_condition, columns,
+        kSmallestReciprocalCondition,
+        used.empty() ? "spread the angles over the circle"
+                     : "one rate does not tell what the rotation adds: sweep each circle at two"));
   }
 
   // scaled * P = Q R, hence estimator = D P R^-1 Q' W and cofactor = (D P R^-1) (D P R^-1)'.
@@ -135,6 +144,18 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
     throw UndeterminedFit("the coefficients are not finite: the readings are too large for double precision");
   }
   return fit;
+}
+
+Eigen::MatrixXd columns_of_motion(const HarmonicFit& of_sine, std::span<const double> rate_radps) {
+  const Eigen::VectorXd rate =
+      Eigen::Map<const Eigen::VectorXd>(rate_radps.data(), static_cast<Eigen::Index>(rate_radps.size()));
+  const Eigen::VectorXd sine = of_sine.design.col(1), cosine = of_sine.design.col(2);
+  const double s = of_sine.coefficients(1), c = of_sine.coefficients(2);
+  Eigen::MatrixXd out(rate.size(), 3);
+  out.col(0) = rate.cwiseAbs2();
+  out.col(1) = rate.cwiseAbs2().cwiseProduct(s * sine + c * cosine);
+  out.col(2) = rate.cwiseProduct(s * cosine - c * sine);
+  return out;
 }
 
 }  // namespace abcal

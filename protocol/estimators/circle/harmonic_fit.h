@@ -17,9 +17,10 @@ class UndeterminedFit : public UnusableData {
 
 /// constant + sum over k = 1..harmonics of S_k sin(k alpha) + C_k cos(k alpha), fitted by least squares.
 /// Coefficients, in every vector and matrix below: constant, S_1, C_1, S_2, C_2, ... (2 harmonics + 1 of
-/// them).
+/// them), then those of the further columns.
 struct HarmonicFit {
   int harmonics = 0;
+  Eigen::MatrixXd design;        ///< One row for each reading, one column for each coefficient.
   Eigen::VectorXd coefficients;  ///< In the unit of the readings (R).
   /// coefficients = estimator * readings: one row for each coefficient, one column for each reading.
   Eigen::MatrixXd estimator;
@@ -44,11 +45,21 @@ struct HarmonicFit {
 /// @param readings   one for each angle (R)
 /// @param u          standard uncertainty of each reading (R), > 0; empty: equal weights
 /// @param harmonics  1 or more
+/// @param further    columns of the design beside the harmonics, one row for each reading; columns of zeros
+///                   alone are left out
 /// @throws UndeterminedFit       fewer distinct angles (modulo 360 degrees) than coefficients, or a
 ///                               reciprocal condition below 1e-8 (the square root of the rounding unit:
 ///                               fewer than half of the digits of a reading would be left)
 /// @throws std::invalid_argument sizes differ, or a number is not finite, or an uncertainty is not > 0
 HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> readings,
-                          std::span<const double> u, int harmonics);
+                          std::span<const double> u, int harmonics, const Eigen::MatrixXd& further = {});
+
+/// Columns of the fit to the sweeps of one circle at constant rates, so that constant and harmonics are those
+/// of an item at rest: what the elements' places add (rate squared), the loss of amplitude of a low-pass
+/// (rate squared, times the sine) and its delay (rate, times the derivative of the sine). Sweeps at two rates
+/// determine them.
+/// @param of_sine      a fit whose first harmonic is the sine: at first that without these columns
+/// @param rate_radps  of each reading, with its sign
+Eigen::MatrixXd columns_of_motion(const HarmonicFit& of_sine, std::span<const double> rate_radps);
 
 }  // namespace abcal
