@@ -84,8 +84,35 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   return unchanged && current_certificate(data.path, data.item);
 }
 
+/// The readings of one run.
+struct RunReadings {
+  std::string suffix;  ///< Of its files: "-2" of the second run of a measurement; empty: the only one.
+  std::vector<ReportData> items;
+};
+
+/// @param items  of the file; of a measurement its own result
+/// @param item   the one whose readings are wanted, from 1; 0: all
+std::vector<RunReadings> readings_of(const std::vector<ReportData>& items, int item, Clock::UtcTime now) {
+  const ReportData& data = items.front();
+  if (!data.is_of_several_runs()) return {{"", items}};
+  std::vector<RunReadings> out;
+  for (const RunOfMeasurement& run : data.all->runs) {
+    const int number =
+        item == 0 ? 0 : run.items.at(static_cast<std::size_t>(item) - 1).item;  // Runs may order them anew.
+    out.push_back({fmt::format("-{}", out.size() + 1), gather_items(run.file, now, number)});
+  }
+  return out;
+}
+
+std::string with_suffix(const std::filesystem::path& path, const std::string& suffix) {
+  std::filesystem::path out = path.parent_path() / path.stem();
+  out += suffix;
+  out += path.extension();
+  return out.string();
+}
+
 /// The requested outputs.
-std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<ReportData>& items,
+std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<RunReadings>& runs,
                                const Pages& pages) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
@@ -95,15 +122,22 @@ std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<R
   add("--pdf", options.pdf,
       [&pages, &options](OutputFile& file) { write_pages(pages, file, options.attachment); });
   add("--dcc", options.dcc, [&pages](OutputFile& file) { file.write(pages.certificate_xml); });
-  add("--csv", options.csv, [&items](OutputFile& file) { file.write(averaged_csv(items)); });
-  add("--csv-raw", options.csv_raw, [&items](OutputFile& file) {
-    write_raw_csv(items, file.temporary());
-    file.commit();
-  });
-  add("--hdf5", options.hdf5, [&items](OutputFile& file) {
-    export_hdf5(items, file.temporary(), file.path().filename().string());
-    file.commit();
-  });
+  const auto add_of_run = [&](const char* option, const std::string& path, const RunReadings& run,
+                              std::function<void(OutputFile&)> write) {
+    add(option, path.empty() ? path : with_suffix(path, run.suffix), std::move(write));
+  };
+  for (const RunReadings& run : runs) {
+    const std::vector<ReportData>& items = run.items;
+    add_of_run("--csv", options.csv, run, [&items](OutputFile& file) { file.write(averaged_csv(items)); });
+    add_of_run("--csv-raw", options.csv_raw, run, [&items](OutputFile& file) {
+      write_raw_csv(items, file.temporary());
+      file.commit();
+    });
+    add_of_run("--hdf5", options.hdf5, run, [&items](OutputFile& file) {
+      export_hdf5(items, file.temporary(), file.path().filename().string());
+      file.commit();
+    });
+  }
   return outputs;
 }
 
@@ -131,11 +165,6 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
   require_writable(requested, inputs, options.force);
   if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
     throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));
-  if (data.is_of_several_runs() && !(options.csv.empty() && options.csv_raw.empty() && options.hdf5.empty()))
-    throw std::invalid_argument(
-        fmt::format("--csv, --csv-raw, --hdf5: {} is a measurement of several runs, and these files hold the "
-                    "readings of one; required: one of its runs",
-                    options.file));
   if (!options.csv_raw.empty() && !data.run) {
     throw std::invalid_argument(
         fmt::format("--csv-raw: {} is a table and has no single readings beside its own", options.file));
@@ -165,7 +194,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       command->add_option("--pdf", options->pdf, "write the report as PDF (a certificate: by WeasyPrint)");
   command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
   command->add_option("--csv", options->csv,
-                      "write the averaged readings as CSV, which `abcal analyse` reads");
+                      "write the averaged readings as CSV, which `abcal analyse` reads; of a measurement one "
+                      "file for each run: FILE-1.csv, ... (--csv-raw and --hdf5 likewise)");
   command->add_option("--csv-raw", options->csv_raw, "write the single readings as CSV");
   command->add_option("--hdf5", options->hdf5, "write readings and results as HDF5 with NeXus conventions");
   command->add_option("--dcc", options->dcc,
@@ -197,7 +227,10 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     } else {
       pages.document = calibration_document(data);
     }
-    const std::vector<Output> outputs = outputs_of(*options, items, pages);
+    const bool wants_readings = !(options->csv.empty() && options->csv_raw.empty() && options->hdf5.empty());
+    const std::vector<RunReadings> runs =
+        wants_readings ? readings_of(items, item, RealClock().utc_now()) : std::vector<RunReadings>();
+    const std::vector<Output> outputs = outputs_of(*options, runs, pages);
     check(*options, data, outputs);
     write_all(outputs, options->json);
     if (options->json) {

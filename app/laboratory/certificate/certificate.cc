@@ -51,9 +51,11 @@ class Inspection {
     check_equipment(data, which);
   }
 
-  /// A certificate of several runs rests on how much the item changes between them.
-  void check_between_runs(const ReportData& data, const Message& which) {
-    if (data.record.tolerances.sources.contains("drift_between_runs")) return;
+  /// Checks each run of a measurement. Its certificate rests on how much the item changes between them.
+  void check_together(const std::vector<ReportData>& runs, const ReportData& data, const Message& which) {
+    for (const ReportData& one : runs)
+      check(one, Message("run {file}", quoted(one.path.filename().string())));
+    if (!data.is_of_several_runs() || data.record.tolerances.sources.contains("drift_between_runs")) return;
     of_run_.push_back({which, Message("{key}", "[item_uncertainty] drift_between_runs"), Message("nothing"),
                        Message("by how much the item changes from run to run, with its source")});
   }
@@ -447,16 +449,14 @@ void require_certifiable(const ReportData& data) {
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
 }
 
-/// The run that an option names.
-void require_one_run(const char* option, const ReportData& data) {
-  require_certifiable(data);
-  if (data.is_of_several_runs())
-    throw CertificateRefused(data.path.string(), {{option, "a measurement of several runs", "one run"}});
-}
-
 /// A point over temperature.
 void require_point(const ReportData& data) {
-  require_one_run("--temperature", data);
+  require_certifiable(data);
+  if (data.is_of_several_runs())
+    throw CertificateRefused(
+        data.path.string(),
+        {{"--temperature", "a measurement of several runs",
+          "points of one run each: what runs on one stage share is not known to the fit of the points"}});
   if (data.result().stage_record)
     throw CertificateRefused(data.path.string(),
                              {{"--temperature", "a result with a record of the stage",
@@ -467,6 +467,7 @@ std::vector<const ReportData*> runs_of(const CertificateRequest& request) {
   std::vector<const ReportData*> runs;
   if (request.as_found) runs.push_back(&*request.as_found);
   for (const ReportData& point : request.series) runs.push_back(&point);
+  for (const ReportData& one : request.together_as_found) runs.push_back(&one);
   for (const ReportData& one : request.together) runs.push_back(&one);
   runs.push_back(&request.run);
   return runs;
@@ -503,7 +504,9 @@ std::vector<const ReportData*> runs_of(const Certificate& certificate) {
   if (certificate.as_found) runs.push_back(&certificate.as_found->data);
   if (certificate.series)
     for (const ReportData& point : certificate.series->points) runs.push_back(&point);
-  for (const ReportData& one : certificate.together) runs.push_back(&one);
+  if (certificate.as_found)
+    for (const ReportData& one : certificate.as_found->together) runs.push_back(&one);
+  for (const ReportData& one : certificate.run.together) runs.push_back(&one);
   runs.push_back(&certificate.run.data);
   return runs;
 }
@@ -556,7 +559,7 @@ void add_monte_carlo(CertificateRequest& request) {
 
 Certificate make_certificate(CertificateRequest request) {
   require_certifiable(request.run);
-  if (request.as_found) require_one_run("--as-found", *request.as_found);
+  if (request.as_found) require_certifiable(*request.as_found);
   for (const ReportData& point : request.series) require_point(point);
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
@@ -572,15 +575,15 @@ Certificate make_certificate(CertificateRequest request) {
   const Message which = request.as_found ? Message("as-left run") : Message(kRunWords);
   inspection.check(request.run, which);
   inspection.check_supplied(request.run);
-  for (const ReportData& one : request.together)
-    inspection.check(one, Message("run {file}", quoted(one.path.filename().string())));
-  if (request.run.is_of_several_runs()) inspection.check_between_runs(request.run, which);
+  inspection.check_together(request.together, request.run, which);
   inspection.add_of_run(against_stage_record(certificate.laboratory, request.run, runs_of(request),
                                              runs_of_result(request.together, request.run), which));
   if (request.as_found) {
     inspection.check(*request.as_found, kAsFound);
     inspection.add_of_run(against_stage_record(certificate.laboratory, *request.as_found, runs_of(request),
-                                               {&*request.as_found}, kAsFound));
+                                               runs_of_result(request.together_as_found, *request.as_found),
+                                               kAsFound));
+    inspection.check_together(request.together_as_found, *request.as_found, kAsFound);
     inspection.check_pair(*request.as_found, request.run);
   }
   if (!request.series.empty()) {
@@ -596,11 +599,12 @@ Certificate make_certificate(CertificateRequest request) {
 
   certificate.run.monte_carlo = std::move(request.monte_carlo);
   certificate.run.data = std::move(request.run);
-  certificate.together = std::move(request.together);
+  certificate.run.together = std::move(request.together);
   inspection.derive_and_decide(certificate.run.data, certificate.run);
   if (request.as_found) {
     certificate.as_found.emplace().data = std::move(*request.as_found);
     certificate.as_found->monte_carlo = std::move(request.monte_carlo_as_found);
+    certificate.as_found->together = std::move(request.together_as_found);
     Inspection silent(certificate.laboratory,
                       {});  // Units and limits are the same, so their problems are reported only once.
     silent.derive_and_decide(certificate.as_found->data, *certificate.as_found);

@@ -54,6 +54,7 @@ struct IssueFacts {
 /// One calibration in a certificate, with derived quantities and decisions.
 struct CertifiedRun {
   ReportData data;
+  std::vector<ReportData> together;  ///< Its runs, if it is a measurement of several.
   /// Absent: no Monte Carlo of this kind of result, or no numbers.
   std::optional<CertifiedUncertainty> monte_carlo;
   StatedResult stated;  ///< As the certificate states it. Empty without numbers.
@@ -85,7 +86,6 @@ struct Certificate {
   CertifiedRun run;                      ///< The calibration; as left if `as_found` is present.
   std::vector<Shift> shifts;
   std::optional<CertifiedSeries> series;  ///< Over temperature.
-  std::vector<ReportData> together;       ///< The runs of the calibration, if it is a measurement of several.
   std::vector<RunOperator> operators;     ///< Operators according to the events of the runs.
   /// Every reason why the results are not called traceable; empty: they are.
   std::vector<Message> not_traceable;
@@ -103,8 +103,9 @@ struct CertificateRequest {
   ReadLaboratoryFile laboratory;  ///< With its problems, reported together with those of the run.
   ReportData run;
   std::optional<ReportData> as_found;
-  std::vector<ReportData> series;    ///< Points over temperature; empty: none.
-  std::vector<ReportData> together;  ///< The runs of `run`, if it is a measurement of several.
+  std::vector<ReportData> series;             ///< Points over temperature; empty: none.
+  std::vector<ReportData> together;           ///< The runs of `run`, if it is a measurement of several.
+  std::vector<ReportData> together_as_found;  ///< Those of `as_found`.
   std::optional<IssueFacts> issue;
   std::optional<CertifiedUncertainty> monte_carlo;  ///< That of `run`, as add_monte_carlo() makes it.
   std::optional<CertifiedUncertainty> monte_carlo_as_found;  ///< That of `as_found`.
@@ -132,7 +133,7 @@ void add_monte_carlo(CertificateRequest& request);
 /// @throws CertificateRefused   if only the run has problems, or its estimator gives no matrix
 Certificate make_certificate(CertificateRequest request);
 
-/// Every run of a certificate: as found, points over temperature, the runs of a measurement, and at the end
+/// Every run of a certificate: as found, points over temperature, the runs of measurements, and at the end
 /// the calibration.
 std::vector<const ReportData*> runs_of(const Certificate& certificate);
 

@@ -385,7 +385,8 @@ void add_conditions(XmlElement& measurement, const Certificate& certificate,
                             certificate.laboratory.job.adjustment));
 }
 
-void add_metadata(XmlElement& measurement, const Certificate& certificate, const ReportData& data) {
+void add_metadata(XmlElement& measurement, const Certificate& certificate, const CertifiedRun& certified) {
+  const ReportData& data = certified.data;
   const Words& words = certificate.words;
   XmlElement list = measurement.add("dcc:measurementMetaData");
   const auto add = [&](const std::string& ref_type, const Wording& name, const Wording& text) {
@@ -396,12 +397,12 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
       data.sha256 ? words.as_given(*data.sha256) : words("none: the run is not closed"));
   add("abc_rawData", words("File of the raw data"), words.as_given(data.path.filename().string()));
   if (data.is_of_several_runs())
-    for (const ReportData& run : certificate.together) {
+    for (const ReportData& run : certified.together) {
       XmlElement metadatum = add_metadatum(list, "abc_runHash", words("SHA-256 of a run of the measurement"));
       add_words(metadatum, "dcc:description", words.as_given(run.path.filename().string()));
       add_text(metadatum, words.as_given(run.sha256.value_or("")));
     }
-  const auto [from, to] = period_of(runs_of_result(certificate.together, data));
+  const auto [from, to] = period_of(runs_of_result(certified.together, data));
   add("abc_period", words("Measured, UTC"), words("{from} to {to}", from, to));
   const CalibrationResult& result = data.result();
   if (result.stage_record) {

@@ -25,6 +25,6 @@ void add_equipment(XmlElement& measurement, const Certificate& certificate, cons
 void add_conditions(XmlElement& measurement, const Certificate& certificate,
                     const std::vector<const ReportData*>& runs, const ItemState& state);
 /// Hash of the raw data, when it was measured, verdict of the analysis.
-void add_metadata(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
+void add_metadata(XmlElement& measurement, const Certificate& certificate, const CertifiedRun& run);
 
 }  // namespace abcal

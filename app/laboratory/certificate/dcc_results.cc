@@ -350,9 +350,9 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   (void)add_methods(measurement, certificate, run.data);
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
-  add_conditions(measurement, certificate, runs_of_result(certificate.together, run.data), state);
+  add_conditions(measurement, certificate, runs_of_result(run.together, run.data), state);
   add_results(measurement, words, run, shifts);
-  add_metadata(measurement, certificate, run.data);
+  add_metadata(measurement, certificate, run);
 }
 
 }  // namespace

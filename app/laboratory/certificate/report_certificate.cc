@@ -8,6 +8,7 @@
 
 #include "app/laboratory/certificate/issue_certificate.h"
 #include "app/results/analysis/load_record.h"
+#include "app/results/analysis/measurement_file.h"
 #include "protocol/record/run_label.h"
 
 namespace abcal {
@@ -39,7 +40,8 @@ ReportData gather_same_item(const char* option, const std::filesystem::path& pat
   const auto count = static_cast<int>(items_of_file(path));
   if (count == 1) return gather_report(path, now, 1);  // Another item is refused later, with all reasons.
   for (int item = 1; item <= count; ++item) {
-    const std::map<std::string, std::string> labels = RunFile::load(path, item).header.labels;
+    const std::map<std::string, std::string> labels =
+        RunFile::load(runs_of_file(path.string()).front(), item).header.labels;
     const bool is_same =
         std::ranges::all_of(std::array{"item.maker", "item.model", "item.serial_number"},
                             [&](const char* key) { return label_of(labels, key) == of.label(key); });
@@ -89,6 +91,7 @@ std::string certificate_for_report(const ReportData& data, const CertificateFile
   request.as_found = std::move(as_found);
   add_monte_carlo(request);
   request.together = gather_runs(data, now);
+  if (request.as_found) request.together_as_found = gather_runs(*request.as_found, now);
   request.series = std::move(series);
   request.draft = draft;
   return checked_xml(make_certificate(std::move(request)), &schema);

@@ -206,23 +206,23 @@ void add_items_together(std::vector<Statement>& statements, const Certificate& c
 }
 
 /// For a measurement of several runs: which they are, and how the item was mounted in each.
-void add_runs(std::vector<Statement>& statements, const Certificate& certificate) {
-  const ReportData& data = certificate.run.data;
+void add_runs(std::vector<Statement>& statements, const Words& words, const CertifiedRun& certified,
+              const Wording& title) {
+  const ReportData& data = certified.data;
   if (!data.is_of_several_runs()) return;
-  const Words& words = certificate.words;
   Wording text = words(
       "The readings of {runs} runs were evaluated together. The sensitivity matrix is that of the item as it "
       "was mounted in the first of them, the offsets and the intrinsic properties are those of the item in "
       "the mean. By how much it changes from run to run is part of the uncertainty.",
-      certificate.together.size());
-  for (std::size_t k = 0; k < certificate.together.size(); ++k) {
-    const ReportData& run = certificate.together[k];
+      certified.together.size());
+  for (std::size_t k = 0; k < certified.together.size(); ++k) {
+    const ReportData& run = certified.together[k];
     text.text +=
         " " + words("{file}: begun {begun}, {mounting}, by {names}.", run.path.filename().string(),
                     run.started_utc(), data.result().series.at(k).mounting, describe(operators_of(*run.run)))
                   .text;
   }
-  statements.push_back(plain("abc_runs", words("Runs evaluated together"), text));
+  statements.push_back(plain("abc_runs", title, text));
 }
 
 /// For results that use a record of the stage: what it is, and on what it rests.
@@ -294,7 +294,9 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
   if (certificate.run.has_numbers()) statements.push_back(measurand_statement(words));
   statements.push_back(traceability(certificate));
   add_items_together(statements, certificate);
-  add_runs(statements, certificate);
+  add_runs(statements, words, certificate.run, words("Runs evaluated together"));
+  if (certificate.as_found)
+    add_runs(statements, words, *certificate.as_found, words("Runs evaluated together, as found"));
   add_stage_records(statements, certificate);
   add_uncertainty(statements, certificate);
   add_decision_rule(statements, certificate);

@@ -293,7 +293,8 @@ struct EvidenceOfRuns {
 EvidenceOfRuns judge_runs(const IssueAsked& asked, Registered* registered) {
   const std::vector<std::string> calibration = runs_of_file(asked.run);
   std::vector<std::string> runs = calibration;
-  if (!asked.certificate.as_found.empty()) runs.push_back(asked.certificate.as_found);
+  if (!asked.certificate.as_found.empty())
+    for (std::string& run : runs_of_file(asked.certificate.as_found)) runs.push_back(std::move(run));
   for (const std::string& point : asked.certificate.temperature)
     if (std::ranges::find(runs, point) == runs.end()) runs.push_back(point);
   lab::Register* opened = registered == nullptr ? nullptr : &registered->opened;
@@ -343,6 +344,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
     request.as_found = gather_same_item("--as-found", asked.certificate.as_found, request.run, now);
   add_monte_carlo(request);
   request.together = gather_runs(request.run, now);
+  if (request.as_found) request.together_as_found = gather_runs(*request.as_found, now);
   request.series = gather_series(asked.certificate.temperature, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
   request.issue->witnessing = evidence.witnessing;
