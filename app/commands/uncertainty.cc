@@ -2,11 +2,13 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "app/bench_file/stage_record_file.h"
 #include "app/commands/simulate.h"
@@ -85,8 +87,43 @@ int chosen(const StudyOptions& options) {
   return chosen_item(named.file, options.item != 0 ? options.item : named.item);
 }
 
-/// The study of a measurement of several runs.
-RunUncertainty study_of_measurement(const StudyOptions& options) {
+/// The items that are fitted together with item k (all from 0), itself among them.
+std::vector<std::size_t> fitted_with(const TrayResult& joint, std::size_t k) {
+  std::vector<std::size_t> out;
+  for (std::size_t i = 0; i < joint.items.size(); ++i)
+    if (i == k || (joint.items[k].in_common_fit && joint.items[i].in_common_fit)) out.push_back(i);
+  return out;
+}
+
+/// The study of an item by its fit: with other items, in several runs, with a record of its stage, or alone.
+RunUncertainty study_of_joint_result(const AnalysedRun& run, int item, const UncertaintyOptions& options) {
+  const std::size_t k = static_cast<std::size_t>(item) - 1;
+  const AnalysedItem& wanted = run.item(item);
+  const std::vector<std::size_t> together = fitted_with(run.joint, k);
+  const std::size_t runs = std::max<std::size_t>(1, run.runs.size());
+  if (together.size() == 1 && runs == 1 && !wanted.stored.record.stage_record.record)
+    return joint_uncertainty(wanted.stored.record, options);
+  std::vector<RunRecord> records;
+  std::vector<ItemInRun> places;
+  for (std::size_t r = 0; r < runs; ++r)
+    for (std::size_t i = 0; i < together.size(); ++i) {
+      const std::size_t of_run = together[i];
+      // Those of the first run have the record of the stage with which they were evaluated.
+      records.push_back(r == 0 ? run.items[of_run].stored.record : run.runs[r].items[of_run].record);
+      places.push_back({static_cast<int>(i), static_cast<int>(r)});
+    }
+  const auto number = static_cast<int>(std::ranges::find(together, k) - together.begin());
+  return common_fit_uncertainty({records, places, number}, wanted.results.front(), options);
+}
+
+/// The analysis of which the study of a joint result is.
+AnalysedRun analysed(const StudyOptions& options, std::vector<StoredRun> items) {
+  for (StoredRun& item : items) override_sizes(options, item.record.tolerances);
+  return analyse_run(std::move(items), "joint");
+}
+
+/// The analysis of a measurement of several runs.
+AnalysedRun analysed_measurement(const StudyOptions& options) {
   const bool overrides = options.alignment || options.step || options.initial_turn || options.zero ||
                          !options.stage_record.empty();
   if (overrides)
@@ -94,23 +131,7 @@ RunUncertainty study_of_measurement(const StudyOptions& options) {
         fmt::format("{}: the sizes of a measurement are those of its runs; required: none of --alignment, "
                     "--step, --initial-turn, --zero, --stage-record",
                     options.file));
-  const AnalysedRun run = analyse_file(options.file, options.estimator);
-  const AnalysedItem& item = run.item(chosen_item(options.file, options.item));
-  return common_fit_uncertainty(item.stored.record, item.results.front(), "several runs");
-}
-
-/// The study of an item that was measured together with others, or with a record of the stage: the joint
-/// result is that of their common fit.
-RunUncertainty study_of_common_fit(std::vector<StoredRun> items, const StudyOptions& options) {
-  for (StoredRun& item : items) override_sizes(options, item.record.tolerances);
-  const char* const of =
-      items.front().record.stage_record.record ? "the run with the record of its stage" : "several items";
-  const AnalysedRun run = analyse_run(std::move(items), "joint");
-  const int item = chosen(options);
-  for (const AnalysedItem& one : run.items) {
-    if (one.stored.item == item) return common_fit_uncertainty(one.stored.record, one.results.front(), of);
-  }
-  throw std::invalid_argument(fmt::format("{} has no item {}", options.file, item));
+  return analyse_file(options.file, options.estimator);
 }
 
 /// The record of the stage that an option names.
@@ -136,44 +157,57 @@ std::vector<StoredRun> items_of(const StudyOptions& options) {
   return items;
 }
 
-RunUncertainty study_of(const StudyOptions& options, MonteCarloTeam* team) {
-  if (looks_like_measurement(options.file)) return study_of_measurement(options);
-  std::vector<StoredRun> items = items_of(options);
-  RunRecord record = items.at(static_cast<std::size_t>(chosen(options)) - 1).record;
-  const Estimator& estimator = estimator_of(options, record);
-  require_angles(record, estimator);
-  const bool joint = estimator.fit == nullptr;
-  UncertaintyOptions uncertainty;
-  if (!estimator.rests_on_stated_sizes) uncertainty.trials = kJointTrials;
-  if (options.trials) uncertainty.trials = not_negative("--trials", *options.trials);
+/// @param trials  unless others are asked for
+UncertaintyOptions uncertainty_options(const StudyOptions& options, std::uint64_t trials,
+                                       MonteCarloTeam* team) {
+  UncertaintyOptions out;
+  out.trials = trials;
+  if (options.trials) out.trials = not_negative("--trials", *options.trials);
   if (options.digits) {
-    uncertainty.trials.reset();
-    uncertainty.digits = *options.digits;
+    out.trials.reset();
+    out.digits = *options.digits;
   }
-  uncertainty.seed = not_negative("--seed", options.seed);
-  uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
-  uncertainty.resolution = options.resolution;
-  uncertainty.paper_preset = options.preset == "paper";
-  override_sizes(options, record.tolerances);
-  if (joint) {
-    check_tolerances(record.tolerances);
-    if (items.size() > 1 || record.stage_record.record) return study_of_common_fit(std::move(items), options);
-  }
-  uncertainty.stop = interrupt_token();
+  out.seed = not_negative("--seed", options.seed);
+  out.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
+  out.resolution = options.resolution;
+  out.paper_preset = options.preset == "paper";
+  out.stop = interrupt_token();
+  out.team = team;
+  return out;
+}
+
+RunUncertainty study_of(const StudyOptions& options, MonteCarloTeam* team) {
   RealClock clock;
   ProgressBar bar("uncertainty", clock);
   const Clock::Instant start = clock.now();
-  uncertainty.progress = [&](std::uint64_t done, std::uint64_t planned) {
-    if (planned > 0 && to_seconds(clock.now() - start) > 2.0) {
-      bar.show(static_cast<double>(done), static_cast<double>(planned));
-    }
+  const auto with_bar = [&](std::uint64_t trials) {
+    UncertaintyOptions out = uncertainty_options(options, trials, team);
+    out.progress = [&](std::uint64_t done, std::uint64_t planned) {
+      if (planned > 0 && to_seconds(clock.now() - start) > 2.0)
+        bar.show(static_cast<double>(done), static_cast<double>(planned));
+    };
+    return out;
   };
-  uncertainty.team = team;
-  RunUncertainty study = joint                    ? joint_uncertainty(record, uncertainty)
-                         : estimator.needs_angles ? run_uncertainty(record, uncertainty)
-                                                  : norm_uncertainty(record, uncertainty);
-  bar.clear();
-  return study;
+  const auto done = [&](RunUncertainty study) {
+    bar.clear();
+    return study;
+  };
+  if (looks_like_measurement(options.file))
+    return done(study_of_joint_result(analysed_measurement(options), chosen_item(options.file, options.item),
+                                      with_bar(kCommonFitTrials)));
+  std::vector<StoredRun> items = items_of(options);
+  const int item = chosen(options);
+  RunRecord record = items.at(static_cast<std::size_t>(item) - 1).record;
+  const Estimator& estimator = estimator_of(options, record);
+  require_angles(record, estimator);
+  override_sizes(options, record.tolerances);
+  if (estimator.rests_on_stated_sizes)
+    return done(run_uncertainty(record, with_bar(UncertaintyOptions().trials.value())));
+  if (estimator.fit != nullptr) return done(norm_uncertainty(record, with_bar(kJointTrials)));
+  check_tolerances(record.tolerances);
+  const bool alone = items.size() == 1 && !record.stage_record.record;
+  if (alone) return done(joint_uncertainty(record, with_bar(kJointTrials)));
+  return done(study_of_joint_result(analysed(options, std::move(items)), item, with_bar(kCommonFitTrials)));
 }
 
 void print(const RunUncertainty& study, bool json) {
@@ -213,7 +247,8 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
   add_table_options(*command, options->table);
   CLI::Option* trials = command->add_option(
       "--trials", options->trials,
-      "Monte Carlo trials (default: 10000 of the joint and norm results, 200000 of the ABC result)");
+      "Monte Carlo trials (default: 10000 of the joint and norm results, 200000 of the ABC result, 1000 of "
+      "several items or runs or with a record of the stage)");
   command
       ->add_option("--digits", options->digits,
                    "adaptive: as many trials as 1 or 2 significant digits of u require")

@@ -17,14 +17,6 @@
 namespace abcal {
 namespace {
 
-constexpr double kFewestDegrees = 3.0;
-
-OutputVector outputs_of_line(const Vector12& line) {
-  Eigen::Matrix3d s;
-  for (Eigen::Index j = 0; j < 3; ++j) s.row(j) = line.segment<3>(3 * j).transpose();
-  return to_vector(outputs_of(s, line.tail<3>()));
-}
-
 /// V^-1 X from L X.
 ReadingRows weighted(const NoiseWhitener& whitener, ReadingRows whitened) {
   whitener.whiten_transposed(whitened);
@@ -33,39 +25,21 @@ ReadingRows weighted(const NoiseWhitener& whitener, ReadingRows whitened) {
 
 }  // namespace
 
-Eigen::Vector3d degrees_of_dwell(const DwellRecord& dwell) {
-  Eigen::Vector3d out = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
-  if (dwell.count < 2 || !dwell.u_mean) return out;
-  for (Eigen::Index j = 0; j < 3; ++j) {
-    const double u = (*dwell.u_mean)(j);
-    if (!(u > 0.0)) continue;
-    const double effective = std::min(static_cast<double>(dwell.count), std::pow(dwell.spread(j) / u, 2));
-    out(j) = effective < 1.0 ? 0.0 : std::max(kFewestDegrees, effective - 1.0);
-  }
-  return out;
-}
-
 JointTrials::JointTrials(const ItemFit& own, const RunRecord& record, std::uint64_t seed, TruthFrom truth)
     : own_(own),
-      model_(*own.solution->model),
-      sizes_(record.tolerances),
+      draws_(own, record),
+      model_(draws_.model()),
       seed_(seed),
       hysteresis_(model_.hysteresis_unknowns()) {
   if (!hysteresis_.empty())
     hysteresis_size_ = model_.unknowns()[static_cast<std::size_t>(hysteresis_.front())].prior_sd;
   question_ = {own.options.noise_process, own.options.white_known,
                static_cast<double>(model_.residual().size())};
-  units_ = units_of_line(model_.unit());
-  result_ = own.solution->fit.line;
-  for (const DwellRecord* dwell : own.data.dwells)
-    degrees_.push_back(own.options.white_known
-                           ? degrees_of_dwell(*dwell)
-                           : Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity()));
   prior_mean_ = model_.value() - model_.from_prior();
   for (const EffectUnknown& unknown : model_.unknowns())
     shapes_.push_back(is_measured(own.options.measured_alignment, unknown.effect)
                           ? Shape::kNormal
-                          : sizes_.shape_of(unknown.key));
+                          : draws_.sizes().shape_of(unknown.key));
   start_ = linear_at({.step_sd = model_.step_sd()});
   jacobian_ = PanelMatrix(model_.jacobian());
   line_rows_ = model_.line_rows();
@@ -127,14 +101,6 @@ void JointTrials::find_posterior() {
   });
 }
 
-std::size_t JointTrials::choose_noise(RandomStream& stream) const {
-  const std::vector<double>& weights = own_.solution->weights;
-  std::size_t chosen = 0;
-  for (double left = stream.uniform(); chosen + 1 < weights.size(); ++chosen)
-    if ((left -= weights[chosen]) < 0.0) break;
-  return chosen;
-}
-
 void JointTrials::draw_unknowns(const Posterior& posterior, RandomStream& stream, JointDraw& draw) const {
   Eigen::VectorXd independent(posterior.root.cols());
   for (double& one : independent) one = stream.normal();
@@ -161,74 +127,33 @@ void JointTrials::draw_effects(RandomStream& stream, JointDraw& draw) const {
 void JointTrials::draw_steps(RandomStream& stream, JointDraw& draw) const {
   draw.steps.assign(model_.angles(), 0.0);
   if (!(model_.step_sd() > 0.0)) return;
-  const Shape shape = sizes_.shape_of("step_deg");
+  const Shape shape = draws_.sizes().shape_of("step_deg");
   // All have the stated size; the fit assumes a larger one at some angles out of caution.
   for (std::size_t n = 0; n < draw.steps.size(); ++n)
     draw.steps[n] = model_.step_sd() * standard_draw(shape, stream) / model_.step_factor(n);
-}
-
-void JointTrials::draw_noise(std::size_t number, RandomStream& stream, JointDraw& draw) const {
-  const EffectSolution& solution = *own_.solution;
-  const AssumedNoise& noise = solution.noises[number];
-  Eigen::Vector3d white = noise.white;
-  if (!own_.options.white_known) {
-    // The posterior of a variance that nu residuals estimated.
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      const double nu = std::max(kFewestDegrees, solution.white.redundancy(j));
-      white(j) *= std::sqrt(nu / chi2_draw(nu, stream));
-    }
-  }
-  const std::vector<NoiseAtAngle> angles = model_.stated_noise_at_angles(white);
-  const NoiseProcess process = model_.process_of(noise.tau, noise.rho);
-  draw.noise.resize(3 * static_cast<Eigen::Index>(angles.size()));
-  Eigen::Vector3d state = Eigen::Vector3d::Zero();
-  for (std::size_t n = 0; n < angles.size(); ++n) {
-    const double decay = n > 0 ? std::exp(-angles[n].distance / noise.rho) : 0.0;
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      const double nu = degrees_[n](j);
-      const double z = nu > 0.0 ? student_t_draw(nu, stream) : standard_draw(Shape::kRectangular, stream);
-      if (noise.tau > 0.0)
-        state(j) = decay * state(j) + std::sqrt(1.0 - decay * decay) * process.tau(j) * stream.normal();
-      draw.noise(3 * static_cast<Eigen::Index>(n) + j) = std::sqrt(angles[n].white(j)) * z + state(j);
-    }
-    draw.process_mean += state / static_cast<double>(angles.size());
-  }
 }
 
 JointDraw JointTrials::draw(std::uint64_t trial) const {
   JointDraw draw;
   RandomStream effects(seed_, StreamPurpose::kEffects, trial);
   RandomStream noise(seed_, StreamPurpose::kReadings, trial);
-  const std::size_t chosen = choose_noise(noise);
+  const std::size_t chosen = draws_.choose_noise(noise);
   if (posterior_.empty()) {
     draw_effects(effects, draw);
   } else {
     draw_unknowns(posterior_[chosen], effects, draw);
   }
   draw_steps(effects, draw);
-  // The fit takes both rules for the signs; an item follows one of them.
-  const SignRule rule = effects.uniform() < 0.5 ? SignRule::kArrival : SignRule::kLastMotion;
-  draw.came_from = model_.came_from_at(draw.value, draw.steps, rule);
-  draw_noise(chosen, noise, draw);
-  if (!states_voltmeter(sizes_)) return draw;
-  Eigen::Matrix3d s;
-  for (Eigen::Index j = 0; j < 3; ++j) s.row(j) = result_.segment<3>(3 * j).transpose();
-  draw.by_voltmeter = effect_of_gain(s, result_.tail<3>(), sizes_) *
-                      standard_draw(sizes_.shape_of("voltmeter_gain"), effects);
-  for (Eigen::Index j = 0; j < 3; ++j)
-    draw.by_voltmeter(9 + j) += sizes_.voltmeter_offset * s.row(j).norm() *
-                                standard_draw(sizes_.shape_of("voltmeter_offset"), effects);
+  draws_.draw_signs(effects, draw);
+  draws_.draw_noise(chosen, noise, draw);
+  draw.by_voltmeter = draws_.draw_voltmeter(effects);
   return draw;
-}
-
-Eigen::VectorXd JointTrials::readings_of(const JointDraw& draw) const {
-  return model_.readings_at(draw.value, draw.steps, draw.came_from) + draw.noise;
 }
 
 Vector12 JointTrials::truth_of(const JointDraw& draw) const {
   Vector12 truth = model_.line_values_at(draw.value);
   truth.tail<3>() += draw.process_mean;
-  return truth.cwiseProduct(units_);
+  return truth.cwiseProduct(draws_.units());
 }
 
 /// @param line  the estimate (R)
@@ -273,7 +198,7 @@ class JointTrials::Batch {
     for (std::size_t b = 0; b < count; ++b) {
       const auto& [value, steps] = estimates_[b];
       const std::vector<Eigen::Vector3d> signs = signs_of_estimate(b);
-      set_data(b, of_.readings_of(draws_[b]) - of_.model_.readings_at(value, steps, signs));
+      set_data(b, of_.draws_.readings_of(draws_[b]) - of_.model_.readings_at(value, steps, signs));
       take_signs(b, signs);
     }
     find_lines();
@@ -287,7 +212,7 @@ class JointTrials::Batch {
     Vector12 line = lines_[b];
     for (const ProbableNoise& one : found.noises)
       line += std::exp(one.log_weight) * answer_of(one.noise).line.col(static_cast<Eigen::Index>(b));
-    return of_.error_of(draws_[b], line.cwiseProduct(of_.units_));
+    return of_.error_of(draws_[b], line.cwiseProduct(of_.draws_.units()));
   }
 
  private:
@@ -491,11 +416,7 @@ void JointTrials::operator()(std::uint64_t first, std::size_t count, double* out
 OutputVector JointTrials::solved_in_full(std::uint64_t trial) const {
   if (!posterior_.empty()) throw std::logic_error("effect_fit() takes no statements of a trial");
   const JointDraw drawn = draw(trial);
-  const Eigen::VectorXd made = readings_of(drawn);
-  std::vector<EffectReading> readings = own_.data.readings;
-  for (std::size_t n = 0; n < readings.size(); ++n)
-    readings[n].value = made.segment<3>(3 * static_cast<Eigen::Index>(n)).cwiseProduct(model_.unit());
-  const EffectFit fit = effect_fit(readings, own_.options);
+  const EffectFit fit = effect_fit(draws_.effect_readings_of(drawn), own_.options);
   if (!fit.converged) return OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
   return error_of(drawn, fit.line);
 }

@@ -11,22 +11,12 @@
 #include "protocol/estimators/joint/item_fit.h"
 #include "protocol/estimators/joint/noise_search.h"
 #include "protocol/record/run_record.h"
+#include "protocol/uncertainty/drawn_readings.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/study_output.h"
 #include "protocol/uncertainty/trial_kernels.h"
 
 namespace abcal {
-
-/// One drawn world of a JointTrials: the truth, and the readings that it gives. Relative units.
-struct JointDraw {
-  Eigen::VectorXd value;                   ///< The unknowns of the fit.
-  Eigen::VectorXd stated;                  ///< Values that are stated of them: the means of their priors.
-  std::vector<double> steps;               ///< Step errors without memory, of each reading (radian).
-  std::vector<Eigen::Vector3d> came_from;  ///< Signs for the hysteresis, of the responses that were drawn.
-  Eigen::VectorXd noise;                   ///< 3 N: white noise and process.
-  Eigen::Vector3d process_mean = Eigen::Vector3d::Zero();  ///< Mean of the process over the run: part of O.
-  Vector12 by_voltmeter = Vector12::Zero();                ///< Its error in s row by row and O (R).
-};
 
 /// From where a trial draws the effects, the sensitivities and the offsets.
 enum class TruthFrom {
@@ -48,9 +38,7 @@ enum class TruthFrom {
 /// The hysteresis acts with the signs of the responses that were drawn; the estimator takes the mean signs at
 /// its own solution (HysteresisSigns), with the uncertainties that the responses have in the run.
 ///
-/// The noise: a process (tau, rho) with its posterior probability; white noise of Student's distribution
-/// where the uncertainty of a reading is from the scatter of a dwell; where the fit estimated its size, that
-/// is drawn for each output. All trials depend on seed and number alone.
+/// The noise is that of DrawnReadings. All trials depend on seed and number alone.
 class JointTrials {
  public:
   /// @param own  a solution; it must outlive this
@@ -89,28 +77,21 @@ class JointTrials {
   };
 
   void find_posterior();
-  std::size_t choose_noise(RandomStream& stream) const;
   Linear linear_at(const AssumedNoise& noise) const;
   void find_by_step();
   Vector12 truth_of(const JointDraw& draw) const;
-  Eigen::VectorXd readings_of(const JointDraw& draw) const;
   OutputVector error_of(const JointDraw& draw, const Vector12& line) const;
   void draw_effects(RandomStream& stream, JointDraw& draw) const;
   void draw_unknowns(const Posterior& posterior, RandomStream& stream, JointDraw& draw) const;
   void draw_steps(RandomStream& stream, JointDraw& draw) const;
-  /// @param noise  its number among the probable noises of the solution
-  void draw_noise(std::size_t noise, RandomStream& stream, JointDraw& draw) const;
 
   const ItemFit& own_;
+  DrawnReadings draws_;
   const EffectModel& model_;
-  EffectSizes sizes_;
   std::uint64_t seed_;
   std::vector<Eigen::Index> hysteresis_;  ///< Numbers of its unknowns; empty: not fitted.
   double hysteresis_size_ = 0.0;          ///< As stated, relative.
   NoiseQuestion question_;
-  Vector12 units_;                        ///< R of each output for one relative unit.
-  Vector12 result_;                       ///< The line response of the run (R), for the voltmeter's share.
-  std::vector<Eigen::Vector3d> degrees_;  ///< Degrees of freedom of each reading's u.
   Eigen::VectorXd prior_mean_;
   std::vector<Shape> shapes_;  ///< One for each unknown.
   Linear start_;               ///< At the noise of the minimisation.
@@ -122,10 +103,5 @@ class JointTrials {
   std::vector<Linear> linear_;        ///< By number.
   std::vector<Posterior> posterior_;  ///< One for each probable noise of the solution; empty: not drawn from.
 };
-
-/// Degrees of freedom of the uncertainty that a dwell's scatter gives its means: the effective number of
-/// readings less one. Infinite where it is not known (CSV), 3 at least (JCGM 101, 6.4.9.4: fewer have no
-/// standard deviation); 0 where the resolution governs, so that the error is rectangular.
-Eigen::Vector3d degrees_of_dwell(const DwellRecord& dwell);
 
 }  // namespace abcal

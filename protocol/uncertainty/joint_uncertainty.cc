@@ -13,6 +13,7 @@
 #include "protocol/estimators/shared/side_by_side.h"
 #include "protocol/uncertainty/certified_uncertainty.h"
 #include "protocol/uncertainty/joint_trials.h"
+#include "protocol/uncertainty/measurement_trials.h"
 #include "protocol/uncertainty/norm_trials.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
@@ -21,6 +22,8 @@ namespace {
 
 /// Trials that are solved in full as well.
 constexpr std::size_t kSolvedInFull = 16;
+/// Trials of a common fit that a thread takes at a time: each takes a tenth of a second or more.
+constexpr std::uint64_t kSolvedTogether = 4;
 /// Solutions in full may differ from the linear ones by this many standard uncertainties (rms): a difference
 /// that is independent of the error adds 2 % to u.
 constexpr double kMostDeviation = 0.2;
@@ -203,15 +206,24 @@ RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptio
   return study;
 }
 
-RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result,
-                                      std::string_view of) {
+RunUncertainty common_fit_uncertainty(const CommonFit& fit, const CalibrationResult& result,
+                                      const UncertaintyOptions& options) {
+  require_trials(options);
   RunUncertainty study;
-  describe(record, result, study);
-  study.no_trials = fmt::format(
-      "This joint result comes from a common fit of {}, and Monte Carlo of a common fit is not "
-      "made. The budget and the standard uncertainties are those of the common fit; --estimator "
-      "abc makes a Monte Carlo of the ABC result of one item of one run alone.",
-      of);
+  study.seed = options.seed;
+  const auto first = std::ranges::find(fit.places, fit.item, &ItemInRun::item);
+  if (first == fit.places.end()) throw std::invalid_argument("common fit: no such item");
+  describe(fit.records[static_cast<std::size_t>(first - fit.places.begin())], result, study);
+  study.source = result.source;
+  const MeasurementTrials trials(fit.records, fit.places, fit.item, options.seed);
+  MonteCarloOptions monte_carlo = monte_carlo_options(options);
+  monte_carlo.block = kSolvedTogether;
+  study.combined = run_monte_carlo(
+      kStudyOutputs, [&](std::uint64_t from, std::size_t count, double* out) { trials(from, count, out); },
+      monte_carlo);
+  study.interrupted = study.combined.interrupted;
+  compare_with_stated(study.combined, *study.joint);
+  warn(*study.joint, study.response_unit, study.warnings);
   return study;
 }
 

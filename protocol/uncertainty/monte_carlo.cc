@@ -18,8 +18,6 @@ namespace abcal {
 
 namespace {
 
-// Trials a worker takes at a time: a few milliseconds of work, 144 kB of results.
-constexpr std::uint64_t kBlock = 1000;
 // JCGM 101 7.9.4: M = max(J, 1e4) trials between two checks of the digits, J = 100/(1 - p).
 constexpr std::uint64_t kSmallestLook = 10'000;
 constexpr std::uint64_t kGridTrials = 10'000;   // that set the grid of the histograms
@@ -106,7 +104,7 @@ class Engine {
         looks_(static_cast<std::size_t>(outputs)) {
     const double j = std::ceil(100.0 / (1.0 - options.coverage_probability) - 1e-9);
     const auto look = std::max(static_cast<std::uint64_t>(j), kSmallestLook);
-    look_trials_ = (look + kBlock - 1) / kBlock * kBlock;
+    look_trials_ = (look + options_.block - 1) / options_.block * options_.block;
     for (std::vector<double>& values : kept_)
       values.reserve(static_cast<std::size_t>(std::min(last_, keep_)));
   }
@@ -114,7 +112,7 @@ class Engine {
   MonteCarloResult run() {
     unsigned threads =
         options_.threads != 0 ? options_.threads : std::max(1U, std::thread::hardware_concurrency());
-    const std::uint64_t blocks = (last_ + kBlock - 1) / kBlock;
+    const std::uint64_t blocks = (last_ + options_.block - 1) / options_.block;
     threads = static_cast<unsigned>(std::min<std::uint64_t>(threads, blocks));
     const std::vector<TrialBlock> hands =
         options_.team != nullptr ? options_.team->hands(outputs_) : std::vector<TrialBlock>{};
@@ -136,9 +134,9 @@ class Engine {
     while (true) {
       // A worker that is much ahead of the merge waits, so that memory stays bounded.
       room_.wait(lock, [this] { return finished_ || next_block_ < next_merge_ + look_ahead_; });
-      if (finished_ || options_.stop.stop_requested() || next_block_ * kBlock >= last_) return;
+      if (finished_ || options_.stop.stop_requested() || next_block_ * options_.block >= last_) return;
       const std::uint64_t index = next_block_++;
-      const std::uint64_t first = index * kBlock;
+      const std::uint64_t first = index * options_.block;
       if (!spare_.empty()) {
         space.values = std::move(spare_.back());
         spare_.pop_back();
@@ -147,7 +145,7 @@ class Engine {
       std::optional<Block> block;
       std::exception_ptr failure;
       try {
-        block = make_block(outputs_, trial_block, first, std::min(kBlock, last_ - first), space);
+        block = make_block(outputs_, trial_block, first, std::min(options_.block, last_ - first), space);
       } catch (...) {
         failure = std::current_exception();
       }
@@ -216,16 +214,17 @@ class Engine {
   void look(const Block& block) {
     look_values_.insert(look_values_.end(), block.values.begin(), block.values.end());
     if (trials_ % look_trials_ != 0) return;
-    // look_values_ holds blocks of kBlock trials, each output by output.
-    const std::size_t blocks = look_trials_ / kBlock;
+    // look_values_ holds blocks of options_.block trials, each output by output.
+    const std::size_t blocks = look_trials_ / options_.block;
     const auto k_count = static_cast<std::size_t>(outputs_);
     std::vector<double> one(look_trials_);
     ++look_count_;
     reached_ = Eigen::VectorXd::Zero(outputs_);
     for (std::size_t k = 0; k < k_count; ++k) {
       for (std::size_t b = 0; b < blocks; ++b) {
-        const auto from = look_values_.begin() + static_cast<std::ptrdiff_t>((b * k_count + k) * kBlock);
-        std::copy_n(from, kBlock, one.begin() + static_cast<std::ptrdiff_t>(b * kBlock));
+        const auto from =
+            look_values_.begin() + static_cast<std::ptrdiff_t>((b * k_count + k) * options_.block);
+        std::copy_n(from, options_.block, one.begin() + static_cast<std::ptrdiff_t>(b * options_.block));
       }
       const Eigen::Map<const Eigen::VectorXd> values(one.data(), static_cast<Eigen::Index>(one.size()));
       const double mean = values.mean();

@@ -27,6 +27,8 @@ struct MonteCarloOptions {
   /// Adaptive: the tolerance is divided by this (JCGM 101 section 8.2 asks 5 when it validates the GUM
   /// framework).
   double tolerance_divisor = 1.0;
+  /// Trials that a thread takes at a time. The result depends on it in the last bits.
+  std::uint64_t block = 1000;
   std::uint64_t most_trials = 100'000'000;  ///< Limit at which an adaptive run ends without having converged,
                                             ///< and reports it.
   unsigned threads = 0;                     ///< 0: as many as the machine has.

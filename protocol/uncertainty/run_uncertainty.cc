@@ -79,6 +79,12 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
         ": has two faces, and the Monte Carlo study of ABC draws a stage at the poses of the published "
         "protocol only; required: a run of one face, or the joint estimator (--estimator joint)");
   }
+  if (is_at_constant_rate(record)) {
+    throw std::invalid_argument(record.source +
+                                ": the stage turned at constant rates, and the Monte Carlo study of ABC "
+                                "draws a stage at rest; required: "
+                                "a run in steps, or the joint estimator (--estimator joint)");
+  }
   RunUncertainty study;
   study.source = record.source;
   study.response_unit = record.response_unit;

@@ -3,10 +3,12 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <stop_token>
 #include <string>
 #include <vector>
 
+#include "protocol/estimators/measurement/measurement_result.h"
 #include "protocol/uncertainty/budget.h"
 #include "protocol/uncertainty/gum_validation.h"
 #include "protocol/uncertainty/monte_carlo.h"
@@ -108,10 +110,22 @@ RunUncertainty joint_uncertainty(const RunRecord& record, const UncertaintyOptio
 /// @throws as run_uncertainty()
 RunUncertainty norm_uncertainty(const RunRecord& record, const UncertaintyOptions& options);
 
-/// For a joint result that comes from a common fit of several items or runs: its budget and what it states.
-/// Monte Carlo of a common fit is not made, which `no_trials` reports.
-/// @param of  "several items", "several runs"
-RunUncertainty common_fit_uncertainty(const RunRecord& record, const CalibrationResult& result,
-                                      std::string_view of);
+/// Trials of a common fit unless others are asked for: each solves every item of every run in full.
+inline constexpr std::uint64_t kCommonFitTrials = 1'000;
+
+/// The items of a common fit, run by run.
+struct CommonFit {
+  std::span<const RunRecord> records;
+  std::span<const ItemInRun> places;  ///< Items are numbered from 0 in the order of their first runs.
+  int item = 0;                       ///< The one that is asked for.
+};
+
+/// For a joint result that comes from a common fit of several items or runs, or from a run with a record of
+/// its stage: its budget, and Monte Carlo of the whole evaluation, each trial solved in full
+/// (measurement_trials.h). The options resolution and paper_preset are not used.
+/// @param result  that of the item, by this fit
+/// @throws as run_uncertainty(); std::runtime_error  a trial without a solution
+RunUncertainty common_fit_uncertainty(const CommonFit& fit, const CalibrationResult& result,
+                                      const UncertaintyOptions& options);
 
 }  // namespace abcal

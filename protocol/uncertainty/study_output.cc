@@ -45,6 +45,12 @@ StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::V
   return output;
 }
 
+OutputVector outputs_of_line(const Eigen::Matrix<double, 12, 1>& line) {
+  Eigen::Matrix3d s;
+  for (Eigen::Index j = 0; j < 3; ++j) s.row(j) = line.segment<3>(3 * j).transpose();
+  return to_vector(outputs_of(s, line.tail<3>()));
+}
+
 std::string_view output_symbol(int k) {
   return kOutputSymbols.at(static_cast<std::size_t>(k));
 }

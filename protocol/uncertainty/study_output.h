@@ -36,6 +36,8 @@ StudyOutput to_output(const OutputVector& vector);
 /// The outputs that belong to a sensitivity matrix and an offset: norms of the rows and the angles between
 /// them (by atan2; docs/theory/model.md).
 StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset);
+/// The same in a row, of a line response: s row by row and O.
+OutputVector outputs_of_line(const Eigen::Matrix<double, 12, 1>& line);
 
 /// The outputs of a result as quantities, in the order of kStudyOutputs; NaN: those of a matrix that it does
 /// not have.

@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "app/results/analysis/agreement.h"
 #include "app/results/analysis/effect_words.h"
 #include "app/results/analysis/stage_record_use.h"
 #include "protocol/estimators/checks/result_checks.h"
@@ -153,6 +154,14 @@ RunAnalysis analyse_items(std::span<const RunRecord> records,
       add_checks(record, of_the_record, analysis.joint.items[k].result);
       joint = &analysis.joint.items[k].result;
     }
+    // The verdict on the joint result does not depend on what else was asked for.
+    const Estimator& other = find_estimator(kPublishedEstimator);
+    std::optional<CalibrationResult> beside;
+    if (needs_joint && joint->verdict != Verdict::kNotUsable && has_angles(record)) {
+      beside = estimate(record, other);
+      if (beside->verdict != Verdict::kNotUsable)
+        object_to_disagreement(apart(*beside, *joint), "", analysis.joint.items[k].result);
+    }
     std::vector<CalibrationResult>& results = analysis.results.emplace_back();
     for (const Estimator* estimator : estimators) {
       if (estimator->fit == nullptr) {
@@ -161,7 +170,7 @@ RunAnalysis analyse_items(std::span<const RunRecord> records,
       }
       std::vector<Check> checks = of_the_record;
       if (estimator->rests_on_stated_sizes && joint->joint) checks.push_back(sizes_check(*joint));
-      results.push_back(estimate(record, *estimator));
+      results.push_back(estimator == &other && beside ? *beside : estimate(record, *estimator));
       add_checks(record, checks, results.back());
     }
   }

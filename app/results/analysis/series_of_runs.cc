@@ -15,6 +15,7 @@
 
 #include "app/bench_file/item_identity.h"
 #include "app/bench_file/stage_record_file.h"
+#include "app/results/analysis/agreement.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/stage_record_use.h"
@@ -22,8 +23,6 @@
 #include "protocol/estimators/measurement/measurement_result.h"
 #include "protocol/estimators/shared/objection.h"
 #include "protocol/estimators/shared/unusable_data.h"
-#include "protocol/quantities/output_names.h"
-#include "protocol/quantities/quantity_groups.h"
 #include "protocol/record/run_label.h"
 #include "protocol/record/sha256.h"
 
@@ -85,29 +84,11 @@ void use_record(RunsOfStage& loaded, std::shared_ptr<const StageRecord> record) 
   }
 }
 
-/// The result of one run alone, against that of all.
-Apart apart(const CalibrationResult& alone, const CalibrationResult& all) {
-  Apart most{.estimator = alone.estimator, .in_u = 0.0, .output = {}};
-  const std::vector<NamedQuantity> of_run = outputs(alone), of_all = outputs(all);
-  for (std::size_t i = kOfMatrix; i < of_all.size(); ++i) {
-    const Quantity &a = of_run[i].quantity, &b = of_all[i].quantity;
-    const double in_u =
-        std::abs(a.value - b.value) / std::hypot(a.standard_uncertainty, b.standard_uncertainty);
-    if (in_u > most.in_u) most = {alone.estimator, in_u, of_all[i].name};
-  }
-  return most;
-}
-
-/// An ABC result of one run and the result of all share readings, so that their difference is less than the
-/// root of both variances: a sound run exceeds this for one of nine outputs in 1700 runs at most.
-constexpr double kLargestApart = 4.0;
-
 /// Compares the results of one run alone with that of all.
 /// @param member  the run in that result
 void compare_run(const RunRecord& record, const CalibrationResult& alone, SeriesMember& member,
                  CalibrationResult& result) {
   member.alone.push_back(apart(alone, result));
-  if (is_at_constant_rate(record)) return;  // No other estimator evaluates sweeps.
   for (const Estimator& estimator : estimators()) {
     if (estimator.fit == nullptr) continue;
     try {
@@ -117,11 +98,7 @@ void compare_run(const RunRecord& record, const CalibrationResult& alone, Series
     } catch (const UnusableData&) {
       continue;  // It has no result of such a run.
     }
-    const Apart& most = member.alone.back();
-    if (estimator.certifiable && most.in_u > kLargestApart)
-      object_to(result, Message("{run}: its {estimator} result differs from that of all runs by "
-                                "{times:.1f} times the uncertainty in {output}",
-                                member.source, most.estimator, most.in_u, most.output));
+    if (estimator.certifiable) object_to_disagreement(member.alone.back(), member.source, result);
   }
 }
 

@@ -180,7 +180,7 @@ class Trial {
   RunOfSeries evaluated(const RunRecord& record, const sim::BenchTruth& truth) {
     const ItemFit fit = fit_item(record, {.noise_process = false, .measured_alignment = {}, .unit = unit_});
     if (!fit.solution) throw std::runtime_error("study of stage records: a run has no result: " + fit.why);
-    RunOfSeries out{.information = run_information(fit.data, *fit.solution), .truth = {}};
+    RunOfSeries out{.information = run_information(fit.data, *fit.solution, RunNoise::kMean), .truth = {}};
     unit_ = out.information.unit;
     set_truth(truth, fit.data, out);
     // The measurand is the item in the mean.

@@ -34,6 +34,8 @@ constexpr double kNegligibleFall = 1e-8;
 constexpr double kLeastWeight = 0.04;
 /// Largest number of passes, each with a choice of noises.
 constexpr int kNoisePasses = 3;
+/// Effect of an item's small turn between two mountings.
+constexpr const char* kMounting = "mounting";
 
 using Sizes = std::array<double, kRepeatParts>;
 
@@ -129,6 +131,8 @@ class Measurement {
  public:
   Measurement(std::span<const MeasuredItem> measured, const MeasurementOptions& options);
   MeasurementFit result();
+  /// As MeasurementTruths::draw(); after result().
+  MeasurementTruth truth(const std::function<double(const std::string& key)>& standard) const;
 
  private:
   struct Item {
@@ -234,6 +238,9 @@ class Measurement {
   std::vector<Unknown> unknowns_;
   Eigen::MatrixXd prior_of_stage_;        ///< Weights of the priors of the stage.
   std::vector<Eigen::Index> new_angles_;  ///< Places of the fine map of which nothing is known before.
+  std::vector<Eigen::Index> known_;       ///< Places of the stage's unknowns in the given state; -1: none.
+  Eigen::MatrixXd root_of_record_;        ///< Root of the given state's covariance.
+  double visit_ = 0.0;                    ///< Size of the part of a step error that differs between visits.
   double stage_log_determinant_ = 0.0;    ///< log det of the covariance of the others' priors.
   /// In one run: places of the unknowns whose sum is an unknown of the stage in this run, or the step error
   /// of a pose.
@@ -338,7 +345,8 @@ void Measurement::list_stage() {
 void Measurement::set_prior_of_stage() {
   const Eigen::Index size = stage_.size();
   Eigen::MatrixXd before = Eigen::MatrixXd::Zero(size, size);
-  std::vector<Eigen::Index> known(static_cast<std::size_t>(size), -1);
+  std::vector<Eigen::Index>& known = known_;
+  known.assign(static_cast<std::size_t>(size), -1);
   for (Eigen::Index i = 0; i < size; ++i) {
     const auto at = static_cast<std::size_t>(i);
     const bool named = at < stage_.names.size();
@@ -357,6 +365,10 @@ void Measurement::set_prior_of_stage() {
       if (const Eigen::Index a = known[static_cast<std::size_t>(i)], b = known[static_cast<std::size_t>(k)];
           a >= 0 && b >= 0)
         before(i, k) = options_.stage->covariance(a, b);
+  if (options_.stage) {
+    const SymmetricEigen record = symmetric_eigen(options_.stage->covariance);
+    root_of_record_ = scaled_columns(record.vectors, record.values.cwiseMax(0.0).cwiseSqrt());
+  }
   if (size == 0) return;
   const NormalMatrix covariance(before);
   if (!covariance.solvable())
@@ -411,7 +423,7 @@ void Measurement::list_mountings() {
       member.turn = turn_between(first_of(item), *member.information);
       member.mounting = static_cast<Eigen::Index>(unknowns_.size());
       for (int i = 0; i < 3; ++i)
-        add({.effect = "mounting", .key = "", .sd = options_.mounting_sd, .item = member.of->item});
+        add({.effect = kMounting, .key = "", .sd = options_.mounting_sd, .item = member.of->item});
     }
   }
 }
@@ -577,13 +589,12 @@ void Measurement::list_groups() {
 
 /// The sizes of what the stage does not repeat.
 void Measurement::set_sizes(const Sizes& sizes) {
+  visit_ = sizes[static_cast<std::size_t>(RepeatPart::kStep)];
   for (Unknown& unknown : unknowns_)
     if (unknown.part >= 0) unknown.sd = sizes[static_cast<std::size_t>(unknown.part)];
   for (const Eigen::Index place : new_angles_) {
     const AxisAngle& angle = stage_.angles[static_cast<std::size_t>(place) - stage_.names.size()];
-    prior_of_stage_(place, place) =
-        1.0 /
-        variance_of_new_map(angle, step_prior(sizes_), sizes[static_cast<std::size_t>(RepeatPart::kStep)]);
+    prior_of_stage_(place, place) = 1.0 / variance_of_new_map(angle, step_prior(sizes_), visit_);
   }
 }
 
@@ -1170,7 +1181,59 @@ MeasurementFit Measurement::result() {
   return out;
 }
 
+/// Unknowns of the stage that a record knows vary together; all others vary by themselves.
+MeasurementTruth Measurement::truth(const std::function<double(const std::string& key)>& standard) const {
+  Eigen::VectorXd x = point_;
+  for (std::size_t i = 0; i < unknowns_.size(); ++i) {
+    const Unknown& unknown = unknowns_[i];
+    const bool is_fitted = !std::isfinite(unknown.sd) || unknown.effect == kMounting;
+    if (!is_fitted) x(static_cast<Eigen::Index>(i)) = unknown.mean + unknown.sd * standard(unknown.key);
+  }
+  for (const Eigen::Index place : new_angles_) {
+    // The fit takes the map at the axis' zero as free; its size there is that of every other angle.
+    const double step = step_prior(sizes_);
+    x(place) = std::sqrt(std::max(0.0, step * step - visit_ * visit_)) * standard("step_deg");
+  }
+  if (options_.stage) {
+    Eigen::VectorXd independent(options_.stage->size());
+    for (double& one : independent) one = standard("");
+    const Eigen::VectorXd drawn = options_.stage->mean + product_with_vector(root_of_record_, independent);
+    for (Eigen::Index i = 0; i < stage_.size(); ++i)
+      if (const Eigen::Index known = known_[static_cast<std::size_t>(i)]; known >= 0) x(i) = drawn(known);
+  }
+  MeasurementTruth out;
+  for (const Member& member : members_) out.in_runs.push_back(q_of(member, x));
+  for (const Item& item : items_) {
+    const Eigen::VectorXd own = x.segment(item.at, 3 * item.layout.own_count());
+    out.lines.push_back(line_values(item.layout, own).cwiseProduct(units_of_line(first_of(item).unit)));
+  }
+  return out;
+}
+
 }  // namespace
+
+struct MeasurementTruths::Solved {
+  Measurement measurement;
+  MeasurementFit fit;
+};
+
+MeasurementTruths::MeasurementTruths(std::span<const MeasuredItem> measured,
+                                     const MeasurementOptions& options)
+    : solved_(new Solved{Measurement(measured, options), {}}) {
+  solved_->fit = solved_->measurement.result();
+}
+MeasurementTruths::MeasurementTruths(MeasurementTruths&&) noexcept = default;
+MeasurementTruths& MeasurementTruths::operator=(MeasurementTruths&&) noexcept = default;
+MeasurementTruths::~MeasurementTruths() = default;
+
+const MeasurementFit& MeasurementTruths::fit() const {
+  return solved_->fit;
+}
+
+MeasurementTruth MeasurementTruths::draw(
+    const std::function<double(const std::string& key)>& standard) const {
+  return solved_->measurement.truth(standard);
+}
 
 double variance_of_new_map(const AxisAngle& angle, double step, double visit) {
   constexpr double kFreeAtZero = 100.0;

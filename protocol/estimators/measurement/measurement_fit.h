@@ -1,6 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
+#include <memory>
 #include <numbers>
 #include <optional>
 #include <span>
@@ -22,7 +24,7 @@ struct MeasuredItem {
   /// Empty: the number of the reading.
   std::vector<int> pose = {};
   /// Its own fit. With it, a measurement of one run chooses the noise of each item again and averages over
-  /// the probable ones; without, the noise is that of `information`.
+  /// the probable ones; without, and in several runs, the noise is that of `information`.
   const EffectSolution* own = nullptr;
 };
 
@@ -109,5 +111,39 @@ double variance_of_new_map(const AxisAngle& angle, double step, double visit);
 /// @throws std::invalid_argument no runs; units of an item that differ
 MeasurementFit fit_measurement(std::span<const MeasuredItem> measured,
                                const MeasurementOptions& options = {});
+
+/// A truth that a measurement allows before its readings.
+struct MeasurementTruth {
+  /// For each item in each run the values of its unknowns, as MeasuredItem::information lists them: the last
+  /// are the step errors of the visits.
+  std::vector<Eigen::VectorXd> in_runs;
+  /// For each item the line response as it is mounted in its first run (R). The mean of a noise process is
+  /// not in it.
+  std::vector<Vector12> lines;
+};
+
+/// A fit of a measurement and truths around it, for trials (JCGM 101). Sensitivities, offsets and mountings
+/// of a truth are those of the fit; every other unknown is drawn from what is known of it before the
+/// readings: the record of the stage with its covariance, stated sizes, and what the fit found of the parts
+/// that the stage does not repeat.
+class MeasurementTruths {
+ public:
+  /// @param measured  must outlive this
+  /// @throws as fit_measurement()
+  explicit MeasurementTruths(std::span<const MeasuredItem> measured, const MeasurementOptions& options = {});
+  MeasurementTruths(MeasurementTruths&&) noexcept;
+  MeasurementTruths& operator=(MeasurementTruths&&) noexcept;
+  ~MeasurementTruths();
+
+  const MeasurementFit& fit() const;
+  /// @param standard  draws a value of mean 0 and standard deviation 1 for an unknown whose size has this
+  /// key;
+  ///                  an empty key: normal
+  MeasurementTruth draw(const std::function<double(const std::string& key)>& standard) const;
+
+ private:
+  struct Solved;
+  std::unique_ptr<Solved> solved_;
+};
 
 }  // namespace abcal

@@ -163,7 +163,7 @@ SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const Item
     if (!own.solution) throw UnusableData(Message("{run}: {why}", records[k].source, own.why));
     units.try_emplace(places[k].item, own.solution->fit.unit);
     out.alone.push_back(joint_result(records[k], own));
-    out.information.push_back(run_information(own.data, *own.solution));
+    out.information.push_back(run_information(own.data, *own.solution, RunNoise::kMean));
     out.information.back().source = records[k].source;
   }
   for (std::size_t first = 0; first < records.size();) {

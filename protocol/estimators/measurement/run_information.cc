@@ -77,7 +77,25 @@ ReadingsForm form_at(const EffectModel& model, const AssumedNoise& noise) {
   return out;
 }
 
-RunInformation run_information(const CollectedReadings& data, const EffectSolution& solution) {
+AssumedNoise mean_noise(const EffectSolution& solution) {
+  AssumedNoise out = solution.noises[best_noise(solution)];
+  Eigen::Vector3d white = Eigen::Vector3d::Zero();
+  double process = 0.0, length = 0.0;
+  for (std::size_t i = 0; i < solution.noises.size(); ++i) {
+    const AssumedNoise& noise = solution.noises[i];
+    const double weight = solution.weights[i];
+    white += weight * noise.white.cwiseAbs2();
+    process += weight * noise.tau * noise.tau;
+    length += weight * noise.tau * noise.tau * noise.rho;
+  }
+  out.white = white.cwiseSqrt();
+  out.tau = std::sqrt(process);
+  if (process > 0.0) out.rho = length / process;
+  return out;
+}
+
+RunInformation run_information(const CollectedReadings& data, const EffectSolution& solution,
+                               RunNoise noise) {
   if (!solution.fit.converged || !solution.model)
     throw std::invalid_argument("information of a run: its own fit has no solution");
   const EffectModel& model = *solution.model;
@@ -101,7 +119,8 @@ RunInformation run_information(const CollectedReadings& data, const EffectSoluti
     out.step_factors.push_back(model.step_factor(at));
     out.at(unknowns + n) = model.step_factor(at) * model.steps()[at];
   }
-  out.form = form_at(model, solution.noises[best_noise(solution)]);
+  out.form =
+      form_at(model, noise == RunNoise::kMean ? mean_noise(solution) : solution.noises[best_noise(solution)]);
   out.readings = 3 * static_cast<int>(visits);
   return out;
 }

@@ -35,16 +35,30 @@ struct RunInformation {
   bool in_motion = false;
   Eigen::Vector3d unit = Eigen::Vector3d::Ones();  ///< S_j (R): the relative unit.
   Eigen::VectorXd at;
-  ReadingsForm form;  ///< At the most probable noise of the item's own fit.
-  int readings = 0;   ///< Single outputs' readings.
+  ReadingsForm form;
+  int readings = 0;  ///< Single outputs' readings.
 
   /// Relative rows of s, for u, v, w, at the solution of the item's own fit.
   Eigen::Matrix3d rows() const;
 };
 
+/// The noise of an item's readings in a run, of those that its own fit finds probable.
+enum class RunNoise {
+  /// For one run, where the measurement weighs the probable noises again and averages over them.
+  kMostProbable,
+  /// For one of several: a process whose variance is the mean over the probable noises, so that what is not
+  /// known of the noise is in the uncertainty.
+  kMean,
+};
+
 /// @param data  the readings of the solution
 /// @throws std::invalid_argument a solution that did not converge; one whose readings share step errors
-RunInformation run_information(const CollectedReadings& data, const EffectSolution& solution);
+RunInformation run_information(const CollectedReadings& data, const EffectSolution& solution,
+                               RunNoise noise = RunNoise::kMostProbable);
+
+/// The mean of the probable noises: white noise and process have the mean of their variances, and the process
+/// the correlation length at which that variance lies in the mean.
+AssumedNoise mean_noise(const EffectSolution& solution);
 
 /// The form at another noise, about the same point.
 ReadingsForm form_at(const EffectModel& model, const AssumedNoise& noise);

@@ -172,19 +172,19 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   EXPECT_THAT(exported.out, HasSubstr("s2"));
 }
 
-// The joint result of an item is that of the common fit, of which no Monte Carlo is made: the answer says so,
-// and has the common fit's own uncertainties and budget.
-TEST_F(TrayResultsTest, UncertaintyOfACommonFitIsItsOwnWithoutTrials) {
+// The joint result of an item is that of the common fit: its uncertainties, and trials of the whole evaluation.
+TEST_F(TrayResultsTest, UncertaintyOfACommonFitIsThatOfItsTrials) {
   const auto json_of = [&](std::vector<std::string> arguments) {
-    arguments.insert(arguments.end(), {"--estimator", "joint", "--json"});
+    arguments.insert(arguments.end(), {"--estimator", "joint", "--trials", "40", "--json"});
     const test::ProgramResult result = test::run_program(arguments, folder.path());
     EXPECT_EQ(result.exit_code, 0) << result.err;
     return json::parse(result.out);
   };
   const json study = json_of({"uncertainty", path, "--item", "2"});
   EXPECT_EQ(study.at("estimator"), "joint");
-  EXPECT_TRUE(study.at("cases").empty());
-  EXPECT_THAT(study.at("no_trials").get<std::string>(), HasSubstr("common fit of several items"));
+  ASSERT_EQ(study.at("cases").size(), 1U);
+  EXPECT_EQ(study.at("cases").at(0).at("trials"), 40);
+  EXPECT_FALSE(study.contains("no_trials"));
   const AnalysedRun run = analyse_run(load_items(path), "joint");
   EXPECT_EQ(study.at("posterior").at("standard_uncertainty").at("offset").at(0).get<double>(),
             run.item(2).results.front().offset[0].standard_uncertainty);
