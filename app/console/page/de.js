@@ -768,4 +768,5 @@ export default {
   'Experiments': 'Experimente',
   'Command': 'Befehl',
   'Type a command: arrows choose, Enter does it': 'Befehl eingeben: Pfeile wählen, Enter führt aus',
+  'Temperature': 'Temperatur',
 };
