@@ -97,14 +97,14 @@ export class LiveView {
       for (const done of this.run.measured) this.knowDwell(done);
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
       byId('run-file').textContent = this.run.file || DASH;
-      byId('item').textContent = this.items.map(({name}) => name).join(', ') || this.run.item || DASH;
+      this.showItem(this.items.map(({name}) => name).join(', ') || this.run.item);
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
       byId('simulated').textContent = this.run.simulated ? t('SIMULATED') : '';
       byId('simulated').title = this.run.simulated ? t`Simulated: ${rolesIn(this.run.simulated)}` : '';
       byId('time').textContent = this.run.simulated_time ? t`simulated, ${this.about.pace} times as fast` : t('real');
     } else {  // The process that holds the bench has started again.
       for (const id of ['run-file', 'operator', 'time']) byId(id).textContent = DASH;
-      byId('item').textContent = this.loaded || DASH;
+      this.showItem(this.loaded);
       byId('simulated').textContent = '';
     }
     this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
@@ -129,7 +129,12 @@ export class LiveView {
   // The item that the next run would measure; shown while no run is.
   setLoaded(words) {
     this.loaded = words;
-    if (!this.run) byId('item').textContent = words || DASH;
+    if (!this.run) this.showItem(words);
+  }
+
+  showItem(words) {
+    byId('item').textContent = words || DASH;
+    byId('item').title = words || '';  // Several do not fit into the bar.
   }
 
   responsesChange() {
