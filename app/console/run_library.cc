@@ -119,8 +119,8 @@ double number_from(const Json& json) {
   return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
 }
 
-/// |a| - g_loc at each angle at rest, m/s2: of the readings as the instrument gives them, and corrected by the
-/// constants that `abcal export` writes for this result. Null where the result gives no constants.
+/// |a| - g_loc at each angle at rest, m/s2: of the readings as the instrument gives them, and corrected by
+/// the constants that `abcal export` writes for this result. Null where the result gives no constants.
 Json norms_of(const StoredRun& run, const CalibrationResult& result) {
   std::optional<CorrectionConstants> constants;
   try {

@@ -6,7 +6,7 @@ import {browserName, SIZES} from './served_page.mjs';
 
 const SCREENS = {phone: SIZES.phone, desk: SIZES.desk, wide: {width: 1920, height: 1080}};
 const step = begin({pace: 100, bench: ENDLESS, enter: inGerman});
-const heights = {};  // Of the bar, by screen: set by the first state.
+const heights = {};  // The height of the bar on each screen, as the first state sets it.
 
 // Boxes that extend beyond the sides of the screen, buttons that are cut off, and plots with axes but no data.
 const badBoxes = (page) => page.evaluate(() => {
