@@ -30,6 +30,7 @@
 #include "app/results/analysis/estimators.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/result_json.h"
+#include "app/results/export/constants.h"
 #include "app/system/output_file.h"
 #include "app/system/version.h"
 #include "drivers/text/text.h"
@@ -116,6 +117,29 @@ std::string kept_verdict(const std::filesystem::path& path, const std::string& e
 /// Reads a number that json_number() wrote; null is NaN.
 double number_from(const Json& json) {
   return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
+}
+
+/// |a| - g_loc at each angle at rest, m/s2: of the readings as the instrument gives them, and corrected by
+/// the constants that `abcal export` writes for this result. Null where the result gives no constants.
+Json norms_of(const StoredRun& run, const CalibrationResult& result) {
+  std::optional<CorrectionConstants> constants;
+  try {
+    constants = constants_of(result, ExportFrame::kItem);
+  } catch (const std::invalid_argument&) {
+    return nullptr;  // Not usable, or without local gravity: the result itself says so.
+  }
+  Json json = {{"position", Json::array()}, {"before", Json::array()}, {"after", Json::array()}};
+  for (std::size_t i = 0; i < run.dwells.size(); ++i) {
+    const DwellRecord& dwell = run.dwells[i];
+    if (dwell.motion) continue;
+    const double corrected = (constants->M * (dwell.mean - constants->b)).norm();
+    std::optional<double> before;  // Absent: the output is no acceleration.
+    if (constants->unit_mps2) before = dwell.mean.norm() * *constants->unit_mps2 - constants->g_loc_mps2;
+    json["position"].push_back(run.measured[i]);
+    json["before"].push_back(json_number(before));
+    json["after"].push_back(json_number(std::optional(corrected - constants->g_loc_mps2)));
+  }
+  return json;
 }
 
 /// The limits of a chart of single values; null where there are too few.
@@ -428,6 +452,7 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
   }
   const auto issued = current_certificate(path, run.item);
   json["certificate"] = issued ? certificate_json(issued->xml) : Json(nullptr);
+  json["norms"] = norms_of(run, shown.result());
   json["results"] = Json::array();
   json["meanings"] = Json::object();
   for (const CalibrationResult& result : shown.results) {

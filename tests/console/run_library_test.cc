@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <filesystem>
 #include <regex>
 #include <string>
@@ -135,6 +136,28 @@ TEST_F(RunLibraryTest, FindsSortsAndCountsRunsForOnePage) {
   EXPECT_EQ(page("from=9")["runs"].size(), 0U);
   EXPECT_EQ(get("/runs?count=-1").status, 404U);
   EXPECT_EQ(get("/runs?order=name").status, 404U);
+}
+
+double largest(const Json& norms, const char* which) {
+  double largest = 0.0;
+  for (const Json& each : norms[which]) largest = std::max(largest, std::abs(each.get<double>()));
+  return largest;
+}
+
+TEST_F(RunLibraryTest, TellsTheNormOfEveryAngleBeforeAndAfterTheCorrection) {
+  measure((examples / "simulated.toml").string(), "a.run");
+  open();
+  const Json norms = Json::parse(get("/runs/a.run/result").body)["norms"];
+  const Json angles = Json::parse(get("/runs/a.run/angles").body);
+  EXPECT_EQ(norms["position"], angles["position"]);
+  // At the first angle, by hand: the output is in g.
+  const auto read = [&](std::size_t j) { return angles["mean"][j][0].get<double>(); };
+  const double norm = std::sqrt(read(0) * read(0) + read(1) * read(1) + read(2) * read(2));
+  EXPECT_NEAR(norms["before"][0].get<double>(), 9.80665 * norm - 9.80101, 1e-9);
+  // The offset of 24 mg of the example is corrected; its non-linearity of 14 mg is not.
+  EXPECT_GT(largest(norms, "before"), 0.2);
+  EXPECT_LT(largest(norms, "after"), 0.2);
+  EXPECT_GT(largest(norms, "after"), 1e-3);
 }
 
 TEST_F(RunLibraryTest, HandsOutEachOfSeveralItems) {

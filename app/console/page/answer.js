@@ -6,7 +6,7 @@ import {OUTPUTS} from '/plots.js';
 
 export const VERDICTS = {usable: t('Usable'), doubtful: t('Doubtful'), not_usable: t('Not usable')};
 export const VERDICT_SIGNS = {usable: '✓', doubtful: '?', not_usable: '✗'};  // They differ without colour.
-const COVERED = t('U: expanded uncertainty, for a coverage probability of 95.45 %.');
+export const COVERED = t('U: expanded uncertainty, for a coverage probability of 95.45 %.');
 
 // "+1.002100 ± 0.000012": value and expanded uncertainty, to two digits of the latter.
 function withExpanded(q) {
@@ -26,17 +26,21 @@ const furtherOutputs = (result) => result.quantities.filter(({kind, of_protocol:
 
 const unitOf = (quantities) => quantities.find(({unit}) => unit)?.unit || '1';
 
+// The nine values of a result that do not depend on the mounting, each with its U.
+export function nineValues({intrinsic_sensitivity: s, intrinsic_angle: phi, offset: O}) {
+  return scrollable('stack scroll-x', t('Intrinsic properties'), table(t`What does not depend on the mounting, ± U`, [t('Output'), t`Sensitivity (${unitOf(s)})`, t`Offset (${unitOf(O)})`, t('Angle between outputs'), t`Angle (${unitOf(phi)})`],
+    OUTPUTS.map((name, j) => [name, withExpanded(s[j]), withExpanded(O[j]), ['u, v', 'v, w', 'w, u'][j], withExpanded(phi[j])])));
+}
+
 export function answer(result, dominates) {
-  const {sensitivity_matrix: matrix, intrinsic_sensitivity: s, intrinsic_angle: phi, offset: O} = result, parts = [];
+  const {sensitivity_matrix: matrix} = result, parts = [];
   const isUsable = result.verdict !== 'not_usable';
   if (!isUsable) parts.push(element('p', {}, t('Nothing may be read from the numbers of this run.')));
   if (matrix && isUsable) {
     const made = table(t`Sensitivity matrix ± U, in ${unitOf(matrix.flat())}`, [t('Output'), t('along x'), t('along y'), t('along z')], matrix.map((row, j) => [OUTPUTS[j], ...row.map(withExpanded)]));
     parts.push(scrollable('stack scroll-x', t('Sensitivity matrix'), made));
   }
-  const properties = table(t`What does not depend on the mounting, ± U`, [t('Output'), t`Sensitivity (${unitOf(s)})`, t`Offset (${unitOf(O)})`, t('Angle between outputs'), t`Angle (${unitOf(phi)})`],
-    OUTPUTS.map((name, j) => [name, withExpanded(s[j]), withExpanded(O[j]), ['u, v', 'v, w', 'w, u'][j], withExpanded(phi[j])]));
-  if (isUsable) parts.push(scrollable('stack scroll-x', t('Intrinsic properties'), properties), ...furtherOutputs(result), element('p', {}, COVERED));
+  if (isUsable) parts.push(nineValues(result), ...furtherOutputs(result), element('p', {}, COVERED));
   if (dominates.length) {
     const share = ({output, share: part}) => `${output} ${part === null ? DASH : Math.round(100 * part)} %`;
     parts.push(element('p', {}, t('What dominates U (largest part of the variance):')),

@@ -7,6 +7,8 @@ import {JogForm} from '/jog.js';
 import {LiveView} from '/live.js';
 import {endMaking} from '/making.js';
 import {Notifier} from '/notify.js';
+import {Outcome} from '/outcome.js';
+import {Palette} from '/palette.js';
 import {QueueView} from '/queue.js';
 import {Readiness} from '/readiness.js';
 import {StartForm} from '/start.js';
@@ -22,7 +24,8 @@ translate();
 const live = new LiveView();
 const notifier = new Notifier();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
-let hadControl = false, answered = false;  // answered: the text in #reply expires with the connection.
+let hadControl = false, answered = false, outdated = null;  // answered: the text in #reply says that all is well, and expires.
+const ANSWER_SHOWN_MS = 10_000;
 const USE_THE_SWITCH = t('use the switch on the stage');
 
 let dayViews = [];  // The views of a day's work, each with receive(message) and offer(may, idle).
@@ -43,7 +46,7 @@ function receive(message) {
     byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
     // An acceptance from before the connection was lost is outdated; a missing confirmation stays until the next request.
-    if (answered) byId('reply').textContent = '';
+    clearReply();
     if (hadControl) lostControl(t('this page lost its connection'));
   }
   if (message.type === 'control') {
@@ -57,12 +60,21 @@ function receive(message) {
     bench = message.bench ?? {state: 'on'};
   }
   if (message.type === 'bench') bench = message;
+  if (endsRequest(message)) clearReply();
   const before = live.activity?.activity;
   live.receive(message);
   notifier.receive(message);
   if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before)) statesMayHaveChanged(resume);
   for (const view of dayViews) view.receive(message);
   if (OFTEN.has(message.type)) showSoon(); else show();
+}
+
+// Whether a request that was accepted before is over now.
+const endsRequest = ({type, activity, stop_asked: stopAsked}) => ['fault', 'finished', 'halt'].includes(type) || (type === 'activity' && (activity === 'idle' || stopAsked));
+
+function clearReply() {
+  clearTimeout(outdated);
+  if (answered) byId('reply').textContent = '';
 }
 
 function contactMayHaveChanged() {
@@ -79,11 +91,14 @@ function lostControl(why) {
 function show() {
   const there = contact(), known = live.activity !== undefined;
   document.body.classList.toggle('no-contact', !there);
+  document.body.classList.toggle('has-run', Boolean(live.run));
+  document.body.classList.toggle('running', live.activity?.activity === 'running');
+  if (known) document.body.classList.remove('unknown');
   live.setContact(there);
   byId('link').textContent = there ? t('Connected') : t('No contact');
   const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench, axes: axes()});
   const {measured, total} = live.progress ?? {};
-  showBanner(state, {situation: Boolean(live.run), count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
+  showBanner(state, {situation: known, count: total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : ''});
   offer(there);
 }
 
@@ -117,7 +132,8 @@ function offer(there) {
         : activity.stop_asked ? t('The other buttons wait until the stage is halted.')
           : !idle && !running ? t('The other buttons wait until this is done.') : '');
   if (byId('who-steers').textContent !== why) byId('who-steers').textContent = why;
-  const mayResume = steer && idle;
+  const mayResume = steer && idle, {ended} = live;
+  outcome.show(ended?.complete && ended.words ? live.run.file.split('/').at(-1) : '', {seen: !running, may: steer && idle});
   for (const view of dayViews) view.offer(steer, idle);
   document.body.classList.toggle('may-resume', mayResume);
   byId('acknowledge').disabled = !mayResume;
@@ -152,7 +168,7 @@ function nextStep(there, steer, idle, held) {
 // begun; the banner shows its progress.
 const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'acknowledge', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
 async function ask(name, request, {moves = true} = {}) {
-  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; answered = false; };
+  const say = (words) => { clearTimeout(outdated); byId('reply').textContent = `${name}: ${words}`; answered = false; };
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
   say(t('sent'));
   const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
@@ -164,6 +180,7 @@ async function ask(name, request, {moves = true} = {}) {
   else if (reply.lost) say(t`not confirmed, ${reply.why}` + advice);
   else say(t`refused: ${translated(reply.why) ?? reply.why}`);
   answered = reply.ok;
+  if (answered) outdated = setTimeout(clearReply, ANSWER_SHOWN_MS);
   return reply.ok;
 }
 
@@ -195,7 +212,9 @@ const readiness = new Readiness(async () => {
   // The bench reports who steers.
   for (let i = 0; i < 40 && byId('do-start').disabled; ++i) await new Promise((done) => setTimeout(done, 50));
   byId('do-start').click();
-});
+}, {loaded: (words) => live.setLoaded(words)});
+const outcome = new Outcome(() => byId('do-start').click());
+new Palette();
 dayViews = [new QueueView(page), new BenchView(page), new JogForm(page), readiness];
 byId('take-control').addEventListener('click', async () => {
   const control = (more) => ask(t('Control'), {do: 'control', ...more}, {moves: false});

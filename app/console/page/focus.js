@@ -1,6 +1,6 @@
 // Focus is never lost: if the focused element is disabled, hidden or removed, the nearest usable one gets the focus. It is never
 // hidden under the banner.
-const CONTROLS = 'button:enabled, a[href], input:enabled, select:enabled, summary, [tabindex="0"]';
+const CONTROLS = 'button:enabled, a[href]:not(.skip), input:enabled, select:enabled, summary, [tabindex="0"]';
 let around = [];  // The element that had the focus last, followed by its ancestors.
 
 const usable = (element) => element.isConnected && element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled');

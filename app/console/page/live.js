@@ -4,7 +4,7 @@ import {said, term, translated} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
 import {liveItem} from '/items.js';
 import {Chart, OUTPUTS, outputSeries, place, quarters} from '/plots.js';
-import {plottedAngle, residualChart, showResiduals} from '/residuals.js';
+import {plottedAngle, residualChart, showResiduals, TURNS} from '/residuals.js';
 import {PagedTable} from '/pages.js';
 import {limitWords, phaseWords} from '/state.js';
 import {operatorIn, rolesIn, t} from '/language.js';
@@ -13,6 +13,7 @@ import {timeElement} from '/time.js';
 
 const REDRAWN_AFTER_MS = 100;
 const LINES = 200;  // Most lines of the log.
+const BY_TIME = 3;  // In place of the index of an experiment: all residuals against time.
 
 // Numbers that are not finite arrive as texts.
 const finite = (value) => (Number.isFinite(value) ? value : null);
@@ -45,18 +46,42 @@ export class LiveView {
   }
 
   makeResponses() {
-    const about = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
     byId('responses').replaceChildren();
-    this.charts = about.map((words, i) => {
-      const response = place(), residual = place('small'), turn = {words: t('angle (degrees)'), whole: [0, 360], splits: quarters}, sync = 'live by angle';
-      byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`), response, residual));
+    this.charts = TURNS.map((words, i) => {
+      const response = place('thumbnail'), residual = place(), turn = {words: t('angle (degrees)'), whole: [0, 360], splits: quarters}, sync = 'live by angle';
+      const pick = element('button', {type: 'button', class: 'pick'}, t`Experiment ${words}`);
+      pick.addEventListener('click', () => this.pick(i));
+      byId('responses').append(element('div', {}, element('h4', {}, pick), response));
+      byId('residuals-by-time').before(residual);
       return {
+        pick,
         response: new Chart(response, {name: t`Response of experiment ${i + 1} against angle; the table below has the numbers`, x: turn, y: t('output'), sync,
           series: [...outputSeries(), ...OUTPUTS.map((output) => ({output, label: '', line: true}))]}),
         residual: residualChart(residual, {name: t`Residuals of experiment ${i + 1}; the table below has the numbers`, x: turn, sync}),
       };
     });
     this.byTime = residualChart(byId('residuals-by-time'), {name: t('Residuals against time; the table below has the numbers'), x: {words: t('time since the run began (min)')}});
+    byId('against-time').addEventListener('click', () => this.pick(this.picked === BY_TIME ? null : BY_TIME));
+    this.pick(null);
+  }
+
+  // The main picture shows the residuals of the experiment that runs, or what a person has picked: the index of an experiment, or BY_TIME.
+  pick(picked) {
+    this.picked = picked;
+    this.showMain();
+  }
+
+  showMain() {
+    const now = this.run?.plan[this.phase?.position]?.experiment || this.lastDwell?.experiment || 1, shown = this.picked ?? now - 1;
+    if (shown === this.shownMain) return;
+    this.shownMain = shown;
+    byId('shown-residuals').textContent = shown === BY_TIME ? t('Residuals against time') : t`Residuals of experiment ${TURNS[shown]}`;
+    byId('against-time').setAttribute('aria-pressed', shown === BY_TIME);
+    byId('residuals-by-time').hidden = shown !== BY_TIME;
+    this.charts.forEach(({residual, pick}, i) => {
+      residual.holder.hidden = i !== shown;
+      pick.setAttribute('aria-pressed', i === shown);
+    });
   }
 
   snapshot(message) {
@@ -65,18 +90,21 @@ export class LiveView {
     this.dwells.clear();
     this.fits = [null, null, null];
     this.lastDwell = null;
+    this.picked = null;
     this.items = (this.run?.items ?? []).map(({missing, ...item}) => ({...item, dropped: missing, mean: null, flags: '', temperature_degc: null}));
     this.knowProgress(this.run?.progress);
     if (this.run) {
       for (const done of this.run.measured) this.knowDwell(done);
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
       byId('run-file').textContent = this.run.file || DASH;
-      byId('item').textContent = this.items.map(({name}) => name).join(', ') || this.run.item || DASH;
+      this.showItem(this.items.map(({name}) => name).join(', ') || this.run.item);
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
-      byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
-      byId('time').textContent = this.run.simulated_time ? t`simulated, ${this.about.pace} times as fast as real time` : t('real');
+      byId('simulated').textContent = this.run.simulated ? t('SIMULATED') : '';
+      byId('simulated').title = this.run.simulated ? t`Simulated: ${rolesIn(this.run.simulated)}` : '';
+      byId('time').textContent = this.run.simulated_time ? t`simulated, ${this.about.pace} times as fast` : t('real');
     } else {  // The process that holds the bench has started again.
-      for (const id of ['run-file', 'item', 'operator', 'time']) byId(id).textContent = DASH;
+      for (const id of ['run-file', 'operator', 'time']) byId(id).textContent = DASH;
+      this.showItem(this.loaded);
       byId('simulated').textContent = '';
     }
     this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
@@ -96,6 +124,17 @@ export class LiveView {
     for (const part of ['strip', 'table', 'items']) this.dirty.add(part);
     this.untold.add('stage').add('log');
     this.responsesChange();
+  }
+
+  // The item that the next run would measure; shown while no run is.
+  setLoaded(words) {
+    this.loaded = words;
+    if (!this.run) this.showItem(words);
+  }
+
+  showItem(words) {
+    byId('item').textContent = words || DASH;
+    byId('item').title = words || '';  // Several do not fit into the bar.
   }
 
   responsesChange() {
@@ -193,6 +232,7 @@ export class LiveView {
   }
 
   words() {
+    this.showMain();
     const what = this.activity ? this.activity.activity : 'idle';
     const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
     const held = this.phase && this.phase.phase === 'held';

@@ -66,6 +66,8 @@ export class Chart {
     holder.setAttribute('role', 'img');
     holder.setAttribute('aria-label', name);
     holder.chart = this;
+    holder.dataset.empty = t('Nothing measured yet');
+    holder.classList.add('empty');
     this.values = [[], ...series.map(() => [])];
     this.xSplits = x.splits;
     this.plot = new uPlot({
@@ -125,6 +127,7 @@ export class Chart {
   show(xs, values, {bars = null, band = null, rings = [], marks = this.marks, levels = this.levels, y = null} = {}) {
     Object.assign(this, {bars, band, rings: new Set(rings), marks, levels});
     this.values = [xs, ...values];
+    this.holder.classList.toggle('empty', !values.some((column) => column.some((value) => value !== null)));  // Axes without data say nothing.
     if (y !== null && this.plot.axes[1].label !== y) this.plot.axes[1].label = y;
     this.plot.setData(this.values);
   }

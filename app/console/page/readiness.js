@@ -25,8 +25,9 @@ function ageOf(utc) {
 const gigabytes = (bytes) => (bytes === null ? DASH : bytes >= 1e9 ? `${number(bytes / 1e9, 0)} GB` : `${number(bytes / 1e6, 0)} MB`);
 
 export class Readiness {
-  // tryIt: starts the way to a first run.
-  constructor(tryIt) {
+  // tryIt: starts the way to a first run. loaded: takes the item that is loaded, in words.
+  constructor(tryIt, {loaded}) {
+    this.loaded = loaded;
     byId('try-demo').addEventListener('click', tryIt);
     this.answer = null;
     this.runs = null;  // Number of runs in the folder.
@@ -98,6 +99,7 @@ export class Readiness {
     if (register) fact('good', TEXT.register, register.name, register.training ? TEXT.training : '');
     else fact('warning', TEXT.register, TEXT.noRegister);
     fact(disk.free_bytes !== null && disk.free_bytes < disk.needed_bytes ? 'problem' : 'good', TEXT.disk, t`${gigabytes(disk.free_bytes)} free, ${gigabytes(disk.needed_bytes)} needed`);
+    this.loaded(items.length ? items.map((one) => one.serial_number || one.model || one.driver).join(', ') : item.serial_number || item.model || '');
     byId('ready-facts').replaceChildren(...facts);
     const notices = [...answer.problems.map((words) => ['problem', words]), ...answer.warnings.map((words) => ['warning', words])];
     byId('ready-notices').firstElementChild.textContent = t`Notes before the start: ${notices.length}`;

@@ -14,7 +14,7 @@ const TEXT = {
   asTable: t('As a table'), close: t('Close'),
   noFit: t('There are no residuals: the published protocol does not evaluate these angles, for example those of a run at constant rates. Their readings are below.'),
 };
-const TURNS = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
+export const TURNS = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
 
 // The angle at which the item sees the same gravity in face 1.
 export function plottedAngle({experiment, face, alpha_deg: alpha}) {

@@ -32,7 +32,7 @@ let list = [], firstRow = 0;
 const charts = [];
 const FROZEN = 'register:';  // Marks a chart of the register among the items.
 
-async function fetchJson(path) {
+export async function fetchJson(path) {
   const response = await fetched(path);
   if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
   return response.json();
@@ -215,6 +215,7 @@ export async function showRun(name, item, part, {again = false} = {}) {
     card(t`Result (${ESTIMATORS[reported.estimator]})`, answer(reported, data.dominates)),
     ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
     downloads(data.downloads, run, several ? data.item : 0),
+    certificateCard(run, several ? data.item : 0, () => showRun(name, item, '')),
     ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
     residuals.element,
     card(t('Checks of the result'), checks(reported, data.meanings)),
@@ -227,16 +228,17 @@ export async function showRun(name, item, part, {again = false} = {}) {
   detail.append(harmonics(abc));
   if (joint?.motion) detail.append(card(t('Response at each rate'), motionCard(joint.motion, charts)));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(certificateCard(run, run.items.length > 1 ? data.item : 0, () => showRun(name, item, '')));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), term(e.kind), said(e.text)])))));
-  if (!again) byId('main').focus();
+  if (!again) byId('main').focus({preventScroll: part === 'certificate'});
+  if (part === 'certificate') byId('certificate-title').scrollIntoView();
 }
 
 const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
 
-function verdict(result, run) {
-  return element('div', {class: `verdict verdict-${result.verdict}`, id: 'verdict'},
+export function verdict(result, run) {
+  // Long reasons are scrolled.
+  return element('div', {class: `verdict verdict-${result.verdict}`, id: 'verdict', tabindex: 0, role: 'group', 'aria-label': t('Result')},
     element('p', {class: 'verdict-word'}, element('span', {class: 'verdict-sign', 'aria-hidden': 'true'}, VERDICT_SIGNS[result.verdict]), element('strong', {}, VERDICTS[result.verdict])),
     element('p', {}, ...(run.simulated ? [simulatedMark(run), t` Simulated: ${rolesIn(run.simulated)}. These are no measurements. `] : []),
       element('span', {class: 'verdict-why'}, said(result.why)),
@@ -280,7 +282,7 @@ function flagged(result, meanings) {
 }
 
 // item: its number; 0: the run has one item.
-function downloads(kinds, run, item) {
+export function downloads(kinds, run, item) {
   const bar = element('p', {class: 'bar'}, t('Download:')), making = element('div', {class: 'bar'});
   for (const {name, words} of kinds || []) {
     const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}${item ? `/items/${item}` : ''}/${name}`,

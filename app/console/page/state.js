@@ -1,5 +1,6 @@
 import {duration, small} from '/text.js';
 import {t} from '/language.js';
+import {term} from '/said.js';
 import {areAtRest, bannerState, plainState} from '/stop.js';
 
 // The state of the banner with all its details (plainState() in stop.js has none): a pure function of the messages of the server.
@@ -54,7 +55,7 @@ export function stateOf(view) {
   if (ended && ended.complete) {
     // A result that cannot be certified never looks like one that can.
     const [kind, icon] = ended.verdict === 'usable' ? ['done', 'done'] : ended.verdict === 'doubtful' ? ['held', 'fault'] : ['fault', 'fault'];
-    return bannerState(t('Finished'), kind, icon, t('The run is complete. Result: '), {english: ended.words});
+    return bannerState(t('Finished'), kind, icon, t('The run is complete. Result: ') + term(ended.verdict.replace('_', ' ')));  // The reasons are with the result.
   }
   if (ended) return bannerState(t('Interrupted'), 'held', 'stop', t('The run is interrupted and can be resumed: '), {english: ended.words, todo: t('Resume it when the stage is clear.')});
   return plain;

@@ -249,6 +249,7 @@ function write(seen, count = '') {
   byId('banner-icon').firstElementChild.setAttribute('href', `#icon-${icon}`);
   byId('banner-word').textContent = word;
   if (byId('state').textContent !== sentence + seen.english) byId('state').replaceChildren(sentence, words.said(seen.english));
+  byId('state').title = byId('state').textContent;  // A long one is shown in part.
   byId('banner-more').textContent = more;
   byId('favicon').href = `/favicon-${kind}.svg`;
 }

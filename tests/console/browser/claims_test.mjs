@@ -149,6 +149,7 @@ step('a bench that has begun anew has no run, and the page shows none', async ()
   await contact();
   await says('#run-table', /\.run/);
   await served.goTo('live');
-  for (const id of ['measured', 'left', 'run-file', 'item', 'operator', 'time']) await says(`#${id}`, '–');
+  for (const id of ['measured', 'left', 'run-file', 'operator', 'time']) await says(`#${id}`, '–');
+  await says('#item', 'SN 0417');  // The one that is loaded.
   assert.equal(await served.text('#simulated'), '');
 });
