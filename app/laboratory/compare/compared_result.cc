@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "app/laboratory/compare/check_chart.h"
+#include "app/laboratory/compare/covariance_table.h"
 #include "app/laboratory/compare/read_certificate.h"
 #include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
@@ -213,6 +214,10 @@ std::vector<ComparedResult> load_compared(const std::vector<std::string>& names,
     const std::string file = named.file.string();
     if (looks_like_xml(file)) {
       results.push_back(compared_certificate(file));
+      continue;
+    }
+    if (looks_like_covariance_table(file)) {
+      results.push_back(read_covariance_table(file));
       continue;
     }
     if (named.item == 0) named.item = item;

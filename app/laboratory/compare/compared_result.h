@@ -21,7 +21,7 @@ namespace abcal {
 /// A result that can be compared with others: from a run, a table of readings, or a certificate.
 struct ComparedResult {
   std::string file;  ///< Name as given.
-  std::string kind;  ///< "run", "measurement", "CSV", "certificate"
+  std::string kind;  ///< "run", "measurement", "CSV", "certificate", "table" with covariance
   std::string what;  ///< "abc estimator"; number of a certificate
   /// Estimator of a run or a CSV, or the one that a certificate of this program names; empty: another
   /// program's certificate.
@@ -80,7 +80,8 @@ class CompareError : public std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
-/// Loads the named results: certificates, run files and CSVs, distinguished by their content; FILE#K is item
+/// Loads the named results: certificates, run files, CSVs of readings and tables of quantities with their
+/// covariance (read_covariance_table()), distinguished by their content; FILE#K is item
 /// K of a run with several (an existing file with this whole name takes precedence); one such run alone gives
 /// all its items. Each run is analysed once.
 /// @param estimator  for runs and CSVs; empty: the one that each of them declares

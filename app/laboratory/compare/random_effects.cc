@@ -1,51 +1,24 @@
 #include "app/laboratory/compare/random_effects.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
+#include "app/laboratory/compare/generalised_fit.h"
+
 namespace abcal {
-namespace {
 
-/// A generalised least-squares mean with the weights that make it.
-struct WeightedMean {
-  double mean = 0.0;
-  double variance = 0.0;
-  double chi2 = 0.0;
-  Eigen::VectorXd weights;
-};
-
-WeightedMean weighted_mean(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
-  const Eigen::LLT<Eigen::MatrixXd> factor(covariance);
-  if (factor.info() != Eigen::Success)
-    throw std::invalid_argument("the covariance of the results is not positive definite");
-  const Eigen::VectorXd of_one = factor.solve(Eigen::VectorXd::Ones(values.size()));
-  WeightedMean result;
-  result.variance = 1.0 / of_one.sum();
-  result.weights = of_one * result.variance;
-  result.mean = result.weights.dot(values);
-  const Eigen::VectorXd residuals = values.array() - result.mean;
-  result.chi2 = residuals.dot(factor.solve(residuals));
-  return result;
-}
-
-double between_variance_of(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
-  const double degrees_of_freedom = static_cast<double>(values.size() - 1);
-  const Eigen::MatrixXd identity = Eigen::MatrixXd::Identity(values.size(), values.size());
+double between_variance(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance,
+                        Eigen::Index quantities) {
+  const Eigen::MatrixXi all = Eigen::MatrixXi::Ones(values.size() / quantities, quantities);
+  const auto degrees_of_freedom = static_cast<double>(values.size() - quantities);
   const auto chi2 = [&](double variance) {
-    return weighted_mean(values, covariance + variance * identity).chi2;
+    Eigen::MatrixXd with_effects = covariance;
+    with_effects.diagonal().array() += variance;
+    return generalised_mean(values, with_effects, all).chi2;
   };
-  // With it alone chi2 is at most the sum of squares over the variance.
-  return between_variance(chi2, degrees_of_freedom,
-                          (values.array() - values.mean()).square().sum() / degrees_of_freedom);
-}
-
-}  // namespace
-
-double between_variance(const std::function<double(double)>& chi2, double degrees_of_freedom, double scale) {
   if (chi2(0.0) <= degrees_of_freedom) return 0.0;
-  double low = 0.0, high = scale;
+  double low = 0.0, high = covariance.diagonal().maxCoeff();
   while (chi2(high) > degrees_of_freedom) high *= 2.0;
   constexpr int kHalvings = 200;  // More than a double has digits.
   for (int k = 0; k < kHalvings && high - low > 1e-15 * high; ++k) {
@@ -68,26 +41,27 @@ RandomEffectsMean random_effects_mean(const std::vector<double>& values, const E
   const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(values.data(), n);
   const Eigen::VectorXd x_kept = x(kept);
   const Eigen::MatrixXd v = covariance(kept, kept);
-  const double variance = between_variance_of(x_kept, v);
+  const double variance = between_variance(x_kept, v, 1);
   const Eigen::MatrixXd own = variance * Eigen::MatrixXd::Identity(x_kept.size(), x_kept.size());
-  const WeightedMean mean = weighted_mean(x_kept, v + own);
+  const GeneralisedFit mean = generalised_mean(x_kept, v + own, Eigen::MatrixXi::Ones(x_kept.size(), 1));
+  const Eigen::VectorXd weights_kept = mean.map.row(0).transpose();
   RandomEffectsMean result;
-  result.mean = mean.mean;
+  result.mean = mean.parameters(0);
   const Eigen::MatrixXd& largest =
       options.largest_covariance.size() == 0 ? covariance : options.largest_covariance;
   result.standard_uncertainty =
-      std::sqrt(mean.weights.dot((Eigen::MatrixXd(largest(kept, kept)) + own) * mean.weights));
+      std::sqrt(weights_kept.dot((Eigen::MatrixXd(largest(kept, kept)) + own) * weights_kept));
   result.between = std::sqrt(variance);
   if (!std::isfinite(result.mean) || !std::isfinite(result.standard_uncertainty))
     throw std::runtime_error("the results have no finite mean");
   // The claims are judged by their own uncertainties, without the effects that they do not cover.
   Eigen::VectorXd weights = Eigen::VectorXd::Zero(n);
-  weights(kept) = mean.weights;
+  weights(kept) = weights_kept;
   const Eigen::VectorXd with_mean = covariance * weights;
   const double of_mean = weights.dot(with_mean);
   for (Eigen::Index i = 0; i < n; ++i) {
     const double u2 = covariance(i, i) - 2.0 * with_mean(i) + of_mean;
-    const double difference = x(i) - mean.mean;
+    const double difference = x(i) - result.mean;
     constexpr double kCoverage = 2.0;
     result.normalised_error.push_back(u2 > 0.0 ? difference / (kCoverage * std::sqrt(u2)) : 0.0);
   }

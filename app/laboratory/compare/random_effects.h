@@ -2,7 +2,6 @@
 
 #include <Eigen/Core>
 #include <cstddef>
-#include <functional>
 #include <vector>
 
 namespace abcal {
@@ -27,11 +26,14 @@ struct MeanOptions {
   Eigen::MatrixXd largest_covariance;
 };
 
-/// The variance of the results' own effects that makes chi2 equal to its degrees of freedom, by bisection; 0
-/// where chi2 is no larger without it.
-/// @param chi2  of this variance; it falls steadily
-/// @param scale  above 0: a variance of the size that is expected
-double between_variance(const std::function<double(double)>& chi2, double degrees_of_freedom, double scale);
+/// The variance of the results' own effects that makes chi2 about the mean equal to its degrees of freedom
+/// (Mandel and Paule for correlated results); 0 where chi2 is no larger without it. All p quantities have
+/// one.
+/// @param values      n p, result by result
+/// @param covariance  n p x n p
+/// @throws std::invalid_argument as generalised_mean()
+double between_variance(const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance,
+                        Eigen::Index quantities);
 
 /// The generalised least-squares mean. `between` solves r' (V + between^2 I)^-1 r = n - 1, r being the
 /// residuals (Mandel and Paule for correlated results). E_n takes the covariance of a result with the mean

@@ -2,12 +2,12 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
 
+#include "app/laboratory/compare/generalised_fit.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -17,36 +17,7 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-/// Parameters of a fit as a linear function of the fitted values.
-struct LinearFit {
-  MatrixXd map;  ///< parameters = map * values
-  double chi2 = 0.0;
-  int degrees_of_freedom = 0;
-};
-
-LinearFit fit_of(const MatrixXd& design, const VectorXd& values, const MatrixXd& covariance) {
-  const VectorXd unit = covariance.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::LLT<MatrixXd> factor(unit.asDiagonal() * covariance * unit.asDiagonal());
-  if (factor.info() != Eigen::Success)
-    throw KeyComparisonError(
-        "the covariance of the pilot's measurements is not positive definite: their repeatability is too "
-        "small against what they have in common");
-  const MatrixXd scaled = unit.asDiagonal() * design;
-  const MatrixXd weighted = factor.solve(scaled);
-  const MatrixXd information = scaled.transpose() * weighted;
-  const VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
-  const MatrixXd inverse =
-      scale.asDiagonal() * Eigen::LLT<MatrixXd>(scale.asDiagonal() * information * scale.asDiagonal())
-                               .solve(MatrixXd(scale.asDiagonal()));
-  LinearFit fit;
-  fit.map = inverse * weighted.transpose() * unit.asDiagonal();
-  const VectorXd residuals = unit.cwiseProduct(values - design * (fit.map * values));
-  fit.chi2 = residuals.dot(factor.solve(residuals));
-  fit.degrees_of_freedom = static_cast<int>(design.rows() - design.cols());
-  return fit;
-}
-
-ConsistencyTest test_of_fit(const LinearFit& fit) {
+ConsistencyTest test_of_fit(const GeneralisedFit& fit) {
   return {fit.chi2, fit.degrees_of_freedom,
           fit.degrees_of_freedom > 0 ? chi2_tail(fit.chi2, fit.degrees_of_freedom) : 1.0};
 }
@@ -83,7 +54,7 @@ ArtefactStep step_of(const Repeats& repeats, bool slope, const ConsistencyTest& 
   ArtefactStep step{.test = test};
   for (std::size_t after = 0; after + 1 < count; ++after) {
     const MatrixXd design = repeats.design(with_slope, after);
-    const LinearFit fit = fit_of(design, repeats.values, repeats.covariance);
+    const GeneralisedFit fit = generalised_fit(design, repeats.values, repeats.covariance);
     if (!(fit.chi2 < least)) continue;
     least = fit.chi2;
     step.before = repeats.positions[after];
@@ -212,9 +183,10 @@ TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& m
   repeats.values = from_origin(rows);
   repeats.covariance = covariance(rows, rows);
 
-  const LinearFit constant = fit_of(repeats.design(false), repeats.values, repeats.covariance);
+  const GeneralisedFit constant = generalised_fit(repeats.design(false), repeats.values, repeats.covariance);
   out.constant = test_of_fit(constant);
-  const LinearFit fit = slope ? fit_of(repeats.design(true), repeats.values, repeats.covariance) : constant;
+  const GeneralisedFit fit =
+      slope ? generalised_fit(repeats.design(true), repeats.values, repeats.covariance) : constant;
   if (slope && count > 2) out.line = test_of_fit(fit);
   const ConsistencyTest tested = out.line.value_or(out.constant);
   if (count > 1 && (!slope || out.line) && tested.probability < level)

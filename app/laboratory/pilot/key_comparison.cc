@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "app/laboratory/compare/generalised_fit.h"
 #include "app/laboratory/compare/random_effects.h"
 #include "protocol/linear/products.h"
 #include "protocol/statistics/distributions.h"
@@ -33,65 +34,6 @@ void require_participants(const ParticipantResults& results) {
   if (!results.values.allFinite() || !results.covariance.allFinite() ||
       !(results.covariance.diagonal().array() > 0.0).all())
     throw KeyComparisonError("a result has no value, or no uncertainty above 0");
-}
-
-/// A generalised least-squares mean of the chosen results.
-struct GeneralisedMean {
-  VectorXd values;
-  MatrixXd covariance;
-  MatrixXd weights;  ///< p x n p: values = weights * results.
-  double chi2 = 0.0;
-  int degrees_of_freedom = 0;
-};
-
-/// @param chosen  n x p: 1 where a result takes part
-GeneralisedMean generalised_mean(const ParticipantResults& results, const MatrixXd& covariance,
-                                 const MatrixXi& chosen) {
-  const Index p = results.quantities;
-  std::vector<Index> at;
-  for (Index i = 0; i < results.participants(); ++i)
-    for (Index q = 0; q < p; ++q)
-      if (chosen(i, q) != 0) at.push_back(i * p + q);
-  const auto m = static_cast<Index>(at.size());
-  // In units of each result's uncertainty, because quantities differ by powers of ten.
-  const VectorXd unit = covariance.diagonal()(at).cwiseSqrt().cwiseInverse();
-  const Eigen::LLT<MatrixXd> factor(unit.asDiagonal() * covariance(at, at) * unit.asDiagonal());
-  if (factor.info() != Eigen::Success)
-    throw KeyComparisonError(
-        "the covariances of the results contradict one another (their matrix is not positive definite): a "
-        "common part is larger than a participant's uncertainty, or a participant's own matrix is wrong");
-  MatrixXd design = MatrixXd::Zero(m, p);
-  for (Index k = 0; k < m; ++k) design(k, at[static_cast<std::size_t>(k)] % p) = unit(k);
-  const MatrixXd weighted = factor.solve(design);
-  const MatrixXd information = design.transpose() * weighted;
-  const VectorXd scale = information.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::LLT<MatrixXd> of_mean(scale.asDiagonal() * information * scale.asDiagonal());
-  if (!scale.allFinite() || of_mean.info() != Eigen::Success)
-    throw KeyComparisonError("a quantity has no result from which a reference value could be made");
-  GeneralisedMean mean;
-  mean.covariance = scale.asDiagonal() * of_mean.solve(MatrixXd(scale.asDiagonal()));
-  const MatrixXd weights = mean.covariance * weighted.transpose() * unit.asDiagonal();
-  mean.weights = MatrixXd::Zero(p, results.values.size());
-  mean.weights(Eigen::all, at) = weights;
-  // Around the first result of each quantity: values may be large against their uncertainties.
-  VectorXd origin = VectorXd::Zero(p);
-  for (Index k = m; k-- > 0;) {
-    const Index row = at[static_cast<std::size_t>(k)];
-    origin(row % p) = results.values(row);
-  }
-  VectorXd x(m);
-  for (Index k = 0; k < m; ++k) {
-    const Index row = at[static_cast<std::size_t>(k)];
-    x(k) = results.values(row) - origin(row % p);
-  }
-  const VectorXd from_origin = weights * x;
-  mean.values = origin + from_origin;
-  VectorXd residuals(m);
-  for (Index k = 0; k < m; ++k)
-    residuals(k) = (x(k) - from_origin(at[static_cast<std::size_t>(k)] % p)) * unit(k);
-  mean.chi2 = residuals.dot(factor.solve(residuals));
-  mean.degrees_of_freedom = static_cast<int>(m - p);
-  return mean;
 }
 
 MatrixXi everything(const ParticipantResults& results) {
@@ -128,16 +70,16 @@ std::vector<VectorXd> listed(const ParticipantResults& results) {
 }
 
 /// Differences from a mean of chosen results, judged by `covariance`.
-void set_differences(const ParticipantResults& results, const GeneralisedMean& mean,
+void set_differences(const ParticipantResults& results, const GeneralisedFit& mean,
                      const MatrixXd& mean_covariance, ReferenceValue& reference) {
   const Index p = results.quantities, n = results.participants();
-  reference.values = mean.values;
+  reference.values = mean.parameters;
   reference.covariance = mean_covariance;
   MatrixXd difference = MatrixXd::Identity(n * p, n * p);
   reference.differences.resize(n * p);
   for (Index i = 0; i < n; ++i) {
-    difference.middleRows(i * p, p) -= mean.weights;
-    reference.differences.segment(i * p, p) = results.values.segment(i * p, p) - mean.values;
+    difference.middleRows(i * p, p) -= mean.map;
+    reference.differences.segment(i * p, p) = results.values.segment(i * p, p) - mean.parameters;
   }
   reference.difference_covariance = difference * results.covariance * difference.transpose();
   reference.expanded = reference.difference_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
@@ -146,7 +88,7 @@ void set_differences(const ParticipantResults& results, const GeneralisedMean& m
 }
 
 void take_mean(const ParticipantResults& results, ReferenceValue& reference) {
-  const GeneralisedMean mean = generalised_mean(results, results.covariance, reference.contributes);
+  const GeneralisedFit mean = generalised_mean(results.values, results.covariance, reference.contributes);
   set_differences(results, mean, mean.covariance, reference);
 }
 
@@ -176,18 +118,6 @@ void take_subset_per_quantity(const ParticipantResults& results, double level, R
   take_mean(results, reference);
 }
 
-/// The variance of the participants' own effects on quantities of one kind.
-double own_variance(const ParticipantResults& group) {
-  const MatrixXi all = everything(group);
-  const auto chi2 = [&](double variance) {
-    MatrixXd covariance = group.covariance;
-    covariance.diagonal().array() += variance;
-    return generalised_mean(group, covariance, all).chi2;
-  };
-  return between_variance(chi2, static_cast<double>(group.values.size() - group.quantities),
-                          group.covariance.diagonal().maxCoeff());
-}
-
 void take_random_effects(const ParticipantResults& results, const ReferenceOptions& options,
                          ReferenceValue& reference) {
   std::vector<std::vector<Index>> groups = options.groups;
@@ -195,13 +125,14 @@ void take_random_effects(const ParticipantResults& results, const ReferenceOptio
     for (Index q = 0; q < results.quantities; ++q) groups.push_back({q});
   MatrixXd covariance = results.covariance;
   for (const std::vector<Index>& group : groups) {
-    const double variance = own_variance(part_of(results, group));
+    const ParticipantResults alone = part_of(results, group);
+    const double variance = between_variance(alone.values, alone.covariance, alone.quantities);
     for (const Index q : group) {
       reference.between(q) = std::sqrt(variance);
       for (const Index at : places_of(results, q)) covariance(at, at) += variance;
     }
   }
-  const GeneralisedMean mean = generalised_mean(results, covariance, reference.contributes);
+  const GeneralisedFit mean = generalised_mean(results.values, covariance, reference.contributes);
   set_differences(results, mean, mean.covariance, reference);
 }
 
@@ -276,11 +207,11 @@ double ComparisonConsistency::birge(std::size_t quantity) const {
 ComparisonConsistency consistency_of_participants(const ParticipantResults& results) {
   require_participants(results);
   ComparisonConsistency found;
-  const GeneralisedMean all = generalised_mean(results, results.covariance, everything(results));
+  const GeneralisedFit all = generalised_mean(results.values, results.covariance, everything(results));
   found.joint = tested(all.chi2, all.degrees_of_freedom);
   for (Index q = 0; q < results.quantities; ++q) {
     const ParticipantResults alone = part_of(results, {q});
-    const GeneralisedMean mean = generalised_mean(alone, alone.covariance, everything(alone));
+    const GeneralisedFit mean = generalised_mean(alone.values, alone.covariance, everything(alone));
     found.of_quantity.push_back(tested(mean.chi2, mean.degrees_of_freedom));
   }
   return found;
@@ -393,12 +324,12 @@ LinkedDifferences linked_differences(const ParticipantResults& results, const Re
   for (Index a = 0; a < m; ++a)
     earlier.segment(a * p, p) = linking[static_cast<std::size_t>(a)].u.cwiseAbs2();
   excess.covariance.diagonal() += earlier;
-  const GeneralisedMean mean = generalised_mean(excess, excess.covariance, everything(excess));
+  const GeneralisedFit mean = generalised_mean(excess.values, excess.covariance, everything(excess));
   LinkedDifferences linked;
-  linked.shift = mean.values;
+  linked.shift = mean.parameters;
   linked.shift_covariance = mean.covariance;
-  linked.differences = reference.differences + mean.values.replicate(n, 1);
-  const MatrixXd to_all = mean.weights.replicate(n, 1);  // n p x m p
+  linked.differences = reference.differences + mean.parameters.replicate(n, 1);
+  const MatrixXd to_all = mean.map.replicate(n, 1);  // n p x m p
   const MatrixXd jacobian = MatrixXd::Identity(n * p, n * p) - to_all * picked;
   linked.covariance = jacobian * reference.difference_covariance * jacobian.transpose() +
                       to_all * earlier.asDiagonal() * to_all.transpose();

@@ -75,15 +75,14 @@ struct ComparisonConsistency {
   double birge(std::size_t quantity) const;  ///< Birge ratio, sqrt(chi2 / degrees of freedom).
 };
 
-/// @throws KeyComparisonError fewer than two participants, sizes that do not fit, a covariance that is not
-/// positive definite
+/// @throws KeyComparisonError fewer than two participants, sizes that do not fit; std::invalid_argument as
+/// generalised_mean()
 ComparisonConsistency consistency_of_participants(const ParticipantResults& results);
 
 /// Reference value and degrees of equivalence. For kRandomEffects the differences are judged by the stated
-/// uncertainties, without the effects that these do not cover; `between` solves
-/// r' (V + between^2 I)^-1 r = degrees of freedom in each group (Mandel and Paule, J. Res. NBS 87, 377, 1982,
-/// for correlated results).
-/// @throws KeyComparisonError as consistency_of_participants(); a subset is wanted and no majority agrees
+/// uncertainties, without the effects that these do not cover; `between` is that of between_variance() in
+/// each group.
+/// @throws as consistency_of_participants(); KeyComparisonError if a subset is wanted and no majority agrees
 ReferenceValue reference_value(const ParticipantResults& results, const ReferenceOptions& options);
 
 /// Degree of equivalence of two participants, D_ij = x_i - x_j, of p quantities.

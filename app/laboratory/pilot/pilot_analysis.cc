@@ -10,7 +10,6 @@
 #include <limits>
 
 #include "app/laboratory/certificate/laboratory_file.h"
-#include "app/laboratory/pilot/covariance_table.h"
 #include "protocol/plan/response_unit.h"
 #include "protocol/record/sha256.h"
 
@@ -282,7 +281,7 @@ void take_other_procedures(PilotAnalysis& analysis) {
     options.procedure = row.value;
     try {
       analysis.others.push_back(reference_value(analysis.transferred.results, options));
-    } catch (const KeyComparisonError& error) {
+    } catch (const std::invalid_argument& error) {
       analysis.notes.push_back(
           fmt::format("procedure {} gives no reference value: {}", row.name, error.what()));
     }
@@ -310,11 +309,7 @@ void take_link(PilotAnalysis& analysis) {
 
 ComparedResult read_pilot_result(const ComparisonProtocol& protocol, const std::string& participant,
                                  const std::filesystem::path& file) {
-  std::vector<ComparedResult> loaded;
-  if (looks_like_covariance_table(file))
-    loaded.push_back(read_covariance_table(file));
-  else
-    loaded = load_compared({file.string()}, {});
+  std::vector<ComparedResult> loaded = load_compared({file.string()}, {});
   std::vector<std::string> problems;
   if (loaded.size() != 1)
     throw KeyComparisonError(

@@ -1,4 +1,4 @@
-#include "app/laboratory/pilot/covariance_table.h"
+#include "app/laboratory/compare/covariance_table.h"
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
