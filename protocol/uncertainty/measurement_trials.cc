@@ -46,6 +46,7 @@ MeasurementTrials::MeasurementTrials(std::span<const RunRecord> records, std::sp
       seed_(seed),
       each_(fit_each_run(records, places, {})),
       one_run_(are_of_one_run(places)),
+      runs_of_item_(static_cast<double>(std::ranges::count(places, item, &ItemInRun::item))),
       options_(options_of_measurement(records.front(), one_run_)),
       measured_(measured_of(each_, one_run_)),
       truths_(measured_, options_) {
@@ -74,9 +75,9 @@ OutputVector MeasurementTrials::error_of(std::uint64_t trial) const {
       draw.steps.push_back(truth.in_runs[m](unknowns + static_cast<Eigen::Index>(n)) / model.step_factor(n));
     draws_[m].draw_signs(effects, draw);
     draws_[m].draw_noise(draws_[m].choose_noise(noise), noise, draw);
-    // Of one run the offset contains the mean of the noise process over it; a process of one of several runs
-    // is an error.
-    if (one_run_ && m == first) line.tail<3>() += draw.process_mean.cwiseProduct(draws_[m].units().tail<3>());
+    // The offset contains the mean of the noise process over the runs of the item.
+    if (static_cast<std::size_t>(measured_[m].item) == item_)
+      line.tail<3>() += draw.process_mean.cwiseProduct(draws_[m].units().tail<3>()) / runs_of_item_;
     Again& made = *again.emplace_back(std::make_unique<Again>());
     made.data = own.data;
     made.data.readings = draws_[m].effect_readings_of(draw);

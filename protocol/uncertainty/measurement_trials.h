@@ -41,6 +41,7 @@ class MeasurementTrials {
   std::uint64_t seed_;
   SeriesRuns each_;
   bool one_run_;
+  double runs_of_item_;
   MeasurementOptions options_;
   std::vector<MeasuredItem> measured_;
   std::vector<DrawnReadings> draws_;

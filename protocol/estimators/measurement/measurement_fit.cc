@@ -213,6 +213,8 @@ class Measurement {
     ReadingRows mean_weights;
   };
   LineRows line_rows_at(std::size_t item, const Eigen::VectorXd& x, const AssumedNoise* noise) const;
+  void add_mean_of_process(const Member& member, const Eigen::VectorXd& x, const AssumedNoise& noise,
+                           double share, LineRows& out) const;
   LineAtNoise line_at(std::size_t item, const AssumedNoise* noise, const Groups& groups,
                       const Solved& solved) const;
   /// The lines of an item's budget, and the line to which each unknown belongs (-1: none).
@@ -872,26 +874,40 @@ Measurement::LineRows Measurement::line_rows_at(std::size_t i, const Eigen::Vect
   out.value = line_values(item.layout, own);
   out.by_x = Rows12::Zero(12, static_cast<Eigen::Index>(unknowns_.size()));
   out.by_x.middleCols(item.at, own.size()) = line_rows(item.layout, own);
-  if (!has_own_fit(member) || noise == nullptr || !(noise->tau > 0.0)) return out;
-  // The mean of the process over the run belongs to the offset.
+  // The mean of the process over the runs belongs to the offset.
+  if (one_run_) {
+    if (has_own_fit(member) && noise != nullptr) add_mean_of_process(member, x, *noise, 1.0, out);
+    return out;
+  }
+  const double share = 1.0 / static_cast<double>(item.members.size());
+  for (const std::size_t m : item.members)
+    if (const Member& in_run = members_[m]; in_run.of->own != nullptr)
+      add_mean_of_process(in_run, x, mean_noise(*in_run.of->own), share, out);
+  return out;
+}
+
+/// Adds a share of the mean of the noise process over a run to the offset.
+void Measurement::add_mean_of_process(const Member& member, const Eigen::VectorXd& x,
+                                      const AssumedNoise& noise, double share, LineRows& out) const {
+  if (!(noise.tau > 0.0)) return;
   const EffectModel& model = *member.of->own->model;
-  const NoiseWhitener whitener(model.noise_at_angles(noise->white), 0.0,
-                               model.process_of(noise->tau, noise->rho));
+  const NoiseWhitener whitener(model.noise_at_angles(noise.white), 0.0,
+                               model.process_of(noise.tau, noise.rho));
   ReadingRows& weights = out.mean_weights = whitener.covariance_with_mean();
   whitener.whiten(weights);
-  out.beyond.bottomRightCorner<3, 3>() = -products_of_columns(weights);
-  out.beyond.bottomRightCorner<3, 3>().diagonal() += whitener.mean_variance();
+  Eigen::Matrix3d beyond = -products_of_columns(weights);
+  beyond.diagonal() += whitener.mean_variance();
+  out.beyond.bottomRightCorner<3, 3>() += share * share * beyond;
   whitener.whiten_transposed(weights);
   Eigen::MatrixXd by_q(3, member.information->at.size());
   by_q.leftCols(model.layout().count()) = transposed_product_by_rows(weights, model.jacobian());
   for (std::size_t n = 0; n < model.angles(); ++n)
     by_q.col(model.layout().count() + static_cast<Eigen::Index>(n)) =
         weights.middleRows<3>(3 * static_cast<Eigen::Index>(n)).transpose() * model.by_own_step(n);
-  out.value.tail<3>() += transposed_product_by_rows_with_vector(weights, model.misfit()) -
-                         product_with_vector(by_q, q_of(member, x) - member.information->at);
+  out.value.tail<3>() += share * (transposed_product_by_rows_with_vector(weights, model.misfit()) -
+                                  product_with_vector(by_q, q_of(member, x) - member.information->at));
   for (const Term& term : terms_at_point(member))
-    out.by_x.bottomRows<3>().col(term.x) -= term.value * by_q.col(term.q);
-  return out;
+    out.by_x.bottomRows<3>().col(term.x) -= share * term.value * by_q.col(term.q);
 }
 
 Measurement::Budget Measurement::budget_of(std::size_t i) const {

@@ -24,7 +24,8 @@ struct MeasuredItem {
   /// Empty: the number of the reading.
   std::vector<int> pose = {};
   /// Its own fit. With it, a measurement of one run chooses the noise of each item again and averages over
-  /// the probable ones; without, and in several runs, the noise is that of `information`.
+  /// the probable ones; in several runs the noise is that of `information`, as without. With it the mean of
+  /// the noise process over the runs belongs to the offset.
   const EffectSolution* own = nullptr;
 };
 
@@ -62,7 +63,7 @@ struct InRunFit {
 struct FittedItem {
   std::size_t first = 0;  ///< Place among the measured items of its first run.
   /// The line response as it is mounted in its first run, s row by row and O (R), averaged over the probable
-  /// noises; of one run the offset contains the mean of the noise process over it.
+  /// noises; the offset contains the mean of the noise process over the runs.
   Vector12 line = Vector12::Zero();
   Covariance12 covariance_line = Covariance12::Zero();
   /// Contributions of the priors to it, by effect; the rest is the noise of the readings.

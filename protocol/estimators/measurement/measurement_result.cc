@@ -154,6 +154,8 @@ SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const Item
                         const JointOptions& options) {
   SeriesRuns out;
   std::map<int, Eigen::Vector3d> units;
+  const bool several =
+      std::ranges::any_of(places, [&](const ItemInRun& place) { return place.run != places.front().run; });
   for (std::size_t k = 0; k < records.size(); ++k) {
     JointOptions of_run = options;
     of_run.measured_alignment = records[k].measured_alignment;
@@ -163,7 +165,8 @@ SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const Item
     if (!own.solution) throw UnusableData(Message("{run}: {why}", records[k].source, own.why));
     units.try_emplace(places[k].item, own.solution->fit.unit);
     out.alone.push_back(joint_result(records[k], own));
-    out.information.push_back(run_information(own.data, *own.solution, RunNoise::kMean));
+    out.information.push_back(
+        run_information(own.data, *own.solution, several ? RunNoise::kMean : RunNoise::kMostProbable));
     out.information.back().source = records[k].source;
   }
   for (std::size_t first = 0; first < records.size();) {
@@ -174,7 +177,8 @@ SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const Item
       out.runs.push_back({.information = &out.information[k],
                           .item = places[k].item,
                           .run = places[k].run,
-                          .pose = poses.of(out.own[k]->data)});
+                          .pose = poses.of(out.own[k]->data),
+                          .own = several ? &*out.own[k]->solution : nullptr});
     first = end;
   }
   return out;
