@@ -8,7 +8,9 @@
 #include <vector>
 
 #include "protocol/estimators/measurement/stage_curves.h"
-#include "protocol/estimators/shared/known_acs_fit.h"
+#include "protocol/estimators/shared/known_acs_sums.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/semidefinite_root.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 #include "protocol/uncertainty/random_stream.h"
@@ -23,12 +25,22 @@ struct MeasuredPose {
   StagePose stage;
   std::vector<StageTerm> terms;
   double step_sd = 0.0;  ///< radian
+  Eigen::Vector3d reading = Eigen::Vector3d::Zero();
+  double weight = 1.0;
+
+  /// Gravity with errors of the stage and a step error.
+  Eigen::Vector3d gravity(const Eigen::VectorXd& state, double step_error) const {
+    StageInputs inputs = StageInputs::Zero();
+    for (const StageTerm& term : terms) inputs(term.input) += term.coefficient * state(term.place);
+    inputs(moving_angle_input(stage.experiment)) += step_error;
+    return gravity_alone(stage, inputs);
+  }
 };
 
 MeasuredPose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
   const SinCos alpha = sincos(dwell.alpha);
   MeasuredPose pose{
-      StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), {}, measured.step.rad()};
+      StagePose::of(dwell.experiment, dwell.face, alpha.sin, alpha.cos), {}, measured.step.rad(), dwell.mean};
   pose.terms = terms_at(measured.state, pose.stage);
   const Eigen::Index place = measured.state.place_of(visited_angle(dwell.experiment, dwell.alpha));
   if (place < 0) return pose;
@@ -85,12 +97,10 @@ MeasuredAcs MeasuredAcs::of(const StageRecord& record, double months) {
   return measured;
 }
 
-MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
-                            const MonteCarloOptions& options) {
-  const Eigen::MatrixXd root = root_of(measured.state.covariance);
+namespace {
+
+std::vector<MeasuredPose> poses_of(const RunRecord& record, const MeasuredAcs& measured) {
   std::vector<MeasuredPose> poses;
-  std::vector<Eigen::Vector3d> readings;
-  std::vector<double> weights;
   bool weighted = true;
   for (const DwellRecord& dwell : record.dwells) {
     if (dwell.closing) continue;
@@ -102,31 +112,134 @@ MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured
       throw std::invalid_argument(
           fmt::format("standard deviation of a step error = {:g} rad; required: finite, not negative",
                       poses.back().step_sd));
-    readings.push_back(dwell.mean);
     weighted = weighted && dwell.u_mean && (dwell.u_mean->array() > 0.0).all();
     if (weighted)
-      weights.push_back(3.0 / dwell.u_mean->squaredNorm());  // as linear_fit_given_acs weighs a record
+      poses.back().weight = 3.0 / dwell.u_mean->squaredNorm();  // as linear_fit_given_acs weighs a record
   }
-  if (!weighted) weights.clear();
+  if (!weighted)
+    for (MeasuredPose& pose : poses) pose.weight = 1.0;
+  return poses;
+}
 
+void write_outputs(const KnownAcsFit& fit, std::size_t count, std::size_t trial, double* out) {
+  const OutputVector values = to_vector(outputs_of(fit.sensitivity_matrix, fit.offset));
+  for (std::size_t k = 0; k < kStudyOutputs; ++k)
+    out[k * count + trial] = values(static_cast<Eigen::Index>(k));
+}
+
+/// Number of the sums of a fit that depend on gravity: x^2, xy, xz, y^2, yz, z^2, x, y, z, and x, y, z times
+/// each of the three readings.
+constexpr Eigen::Index kSums = 18;
+using Sums = Eigen::Matrix<double, kSums, 1>;
+
+Sums varying(const KnownAcsSums& of) {
+  Sums sums;
+  Eigen::Index at = 0;
+  for (Eigen::Index i = 0; i < 3; ++i)
+    for (Eigen::Index k = i; k < 4; ++k) sums(at++) = of.normal(i, k);
+  for (Eigen::Index i = 0; i < 3; ++i)
+    for (Eigen::Index k = 0; k < 3; ++k) sums(at++) = of.right(i, k);
+  return sums;
+}
+
+/// Sets the sums that depend on gravity; the others stay.
+void set_varying(const Sums& sums, KnownAcsSums& to) {
+  Eigen::Index at = 0;
+  for (Eigen::Index i = 0; i < 3; ++i)
+    for (Eigen::Index k = i; k < 4; ++k) to.normal(i, k) = to.normal(k, i) = sums(at++);
+  for (Eigen::Index i = 0; i < 3; ++i)
+    for (Eigen::Index k = 0; k < 3; ++k) to.right(i, k) = sums(at++);
+}
+
+/// The distribution of the sums of a trial's fit. The errors of the stage and the steps are linear in
+/// independent standard normal numbers. Along each of them the sums are computed at -1, 0 and 1: half the
+/// difference is their derivative, and half the second difference their mean change by its square.
+class DrawnSums {
+ public:
+  DrawnSums(const std::vector<MeasuredPose>& poses, const Eigen::VectorXd& mean, const Eigen::MatrixXd& root)
+      : readings_(poses.size()) {
+    const auto sums_at = [&](const Eigen::VectorXd& state) {
+      KnownAcsSums sums;
+      for (const MeasuredPose& pose : poses) sums.add(pose.gravity(state, 0.0), pose.reading, pose.weight);
+      return sums;
+    };
+    centre_ = sums_at(mean);
+    const Sums at_mean = varying(centre_);
+    mean_ = at_mean;
+    Eigen::MatrixXd derivatives(root.cols() + static_cast<Eigen::Index>(poses.size()), kSums);
+    const auto add = [&](Eigen::Index row, const Sums& below, const Sums& at, const Sums& above) {
+      derivatives.row(row) = 0.5 * (above - below).transpose();
+      mean_ += 0.5 * (above + below) - at;
+    };
+    for (Eigen::Index k = 0; k < root.cols(); ++k)
+      add(k, varying(sums_at(mean - root.col(k))), at_mean, varying(sums_at(mean + root.col(k))));
+    // A step error changes the gravity of its own pose alone.
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      const MeasuredPose& pose = poses[i];
+      const auto of_pose = [&](double step_error) {
+        KnownAcsSums sums;
+        sums.add(pose.gravity(mean, step_error), pose.reading, pose.weight);
+        return varying(sums);
+      };
+      add(root.cols() + static_cast<Eigen::Index>(i), of_pose(-pose.step_sd), of_pose(0.0),
+          of_pose(pose.step_sd));
+    }
+    const Eigen::MatrixXd covariance = transposed_product(derivatives, derivatives);
+    // The sums have different units: the root is that of their correlation.
+    const Eigen::VectorXd sd = covariance.diagonal().cwiseSqrt();
+    const Eigen::VectorXd inverse = (sd.array() > 0.0).select(sd.cwiseInverse(), 0.0);
+    root_ = scaled_rows(sd, semidefinite_root(scaled_on_both_sides(covariance, inverse)));
+  }
+
+  KnownAcsFit draw(RandomStream& stream) const {
+    Sums normal;
+    for (double& z : normal) z = stream.normal();
+    KnownAcsSums sums = centre_;
+    set_varying(mean_ + root_ * normal, sums);
+    return fit_of_sums(sums, readings_);
+  }
+
+ private:
+  std::size_t readings_;
+  KnownAcsSums centre_;  ///< With all errors at their means.
+  Sums mean_;
+  Eigen::Matrix<double, kSums, kSums> root_;
+};
+
+bool are_small(const std::vector<MeasuredPose>& poses, const Eigen::MatrixXd& covariance) {
+  const double most = Angle::degrees(kMostSummedTypeADegrees).rad();
+  return (covariance.diagonal().array() <= most * most).all() &&
+         std::ranges::all_of(poses, [&](const MeasuredPose& pose) { return pose.step_sd <= most; });
+}
+
+}  // namespace
+
+MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
+                            const MonteCarloOptions& options, TypeADraw draw) {
+  const Eigen::MatrixXd root = root_of(measured.state.covariance);
+  const std::vector<MeasuredPose> poses = poses_of(record, measured);
+  if (draw == TypeADraw::kSums && are_small(poses, measured.state.covariance)) {
+    const DrawnSums sums(poses, measured.state.mean, root);
+    return run_monte_carlo(
+        kStudyOutputs,
+        [&](std::uint64_t first, std::size_t count, double* out) {
+          for (std::size_t t = 0; t < count; ++t) {
+            RandomStream stream(seed, StreamPurpose::kTypeA, first + t);
+            write_outputs(sums.draw(stream), count, t, out);
+          }
+        },
+        options);
+  }
   const TrialBlock block = [&](std::uint64_t first, std::size_t count, double* out) {
-    std::vector<Eigen::Vector3d> gravity(poses.size());
     Eigen::VectorXd normal(root.cols());
     for (std::size_t t = 0; t < count; ++t) {
       RandomStream stream(seed, StreamPurpose::kTypeA, first + t);
       for (double& z : normal) z = stream.normal();
       const Eigen::VectorXd state = measured.state.mean + product_with_vector(root, normal);
-      for (std::size_t i = 0; i < poses.size(); ++i) {
-        const MeasuredPose& pose = poses[i];
-        StageInputs inputs = StageInputs::Zero();
-        for (const StageTerm& term : pose.terms) inputs(term.input) += term.coefficient * state(term.place);
-        inputs(moving_angle_input(pose.stage.experiment)) += pose.step_sd * stream.normal();
-        gravity[i] = gravity_alone(pose.stage, inputs);
-      }
-      const KnownAcsFit fit = linear_fit_given_acs(gravity, readings, weights);
-      const OutputVector values = to_vector(outputs_of(fit.sensitivity_matrix, fit.offset));
-      for (std::size_t k = 0; k < kStudyOutputs; ++k)
-        out[k * count + t] = values(static_cast<Eigen::Index>(k));
+      KnownAcsSums sums;
+      for (const MeasuredPose& pose : poses)
+        sums.add(pose.gravity(state, pose.step_sd * stream.normal()), pose.reading, pose.weight);
+      write_outputs(fit_of_sums(sums, poses.size()), count, t, out);
     }
   };
   return run_monte_carlo(kStudyOutputs, block, options);

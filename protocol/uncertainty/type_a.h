@@ -23,13 +23,23 @@ struct MeasuredAcs {
   static MeasuredAcs of(const StageRecord& record, double months);
 };
 
+/// How a trial of the type A evaluation draws.
+enum class TypeADraw {
+  /// The sums of its fit, where all standard deviations are at most kMostSummedTypeADegrees; else each error.
+  kSums,
+  kEachError,  ///< The reference.
+};
+/// Above it (degrees) the squares of errors change the sums by more than 0.15 % of what the errors do.
+inline constexpr double kMostSummedTypeADegrees = 0.1;
+
 /// Type A evaluation (paper, section 6; docs/theory/uncertainty.md): every trial draws the system's errors
 /// around their measured means and fits s and O of the measured readings to the forward model with these
 /// errors. The response is linear in s and O once the errors are given, so a trial is one 4 x 4 solve and no
-/// search. Outputs are the 18 values (not errors); their means and standard deviations are the result and its
-/// type A standard uncertainty due to the system.
+/// search. The errors act through the 18 sums of that solve alone. They are normal, and so are the sums, to
+/// first order: a trial draws the sums. Outputs are the 18 values (not errors); their means and standard
+/// deviations are the result and its type A standard uncertainty due to the system.
 /// @throws std::invalid_argument a covariance that is not one; a record without enough readings
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
-                            const MonteCarloOptions& options);
+                            const MonteCarloOptions& options, TypeADraw draw = TypeADraw::kSums);
 
 }  // namespace abcal

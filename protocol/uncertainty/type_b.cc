@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "protocol/linear/products.h"
+#include "protocol/linear/semidefinite_root.h"
 #include "protocol/model/forward_model.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b_kernel.h"
@@ -61,17 +62,8 @@ std::array<double, 36> root_of_sums(const RotationFit& fit, double step) {
   }
   const double variance = -0.5 * std::expm1(-2.0 * step * step);
   const Eigen::MatrixXd covariance = variance * transposed_product(rows, rows);
-  // Cholesky's factor; a sum that follows from those before it (sin alpha cos alpha occurs twice) has no
-  // column. Unlike eigenvectors it depends on the last bits of the covariance no more than they do.
-  constexpr double kFollows = 1e-12;
-  Eigen::Matrix<double, 6, 6, Eigen::RowMajor> root = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>::Zero();
-  for (Eigen::Index k = 0; k < 6; ++k) {
-    const double left = covariance(k, k) - root.row(k).head(k).squaredNorm();
-    if (!(left > kFollows * covariance.diagonal().maxCoeff())) continue;
-    root(k, k) = std::sqrt(left);
-    for (Eigen::Index i = k + 1; i < 6; ++i)
-      root(i, k) = (covariance(i, k) - root.row(i).head(k).dot(root.row(k).head(k))) / root(k, k);
-  }
+  // sin alpha cos alpha occurs twice, so that one sum follows from others.
+  const Eigen::Matrix<double, 6, 6, Eigen::RowMajor> root = semidefinite_root(covariance);
   std::array<double, 36> out{};
   std::copy_n(root.data(), out.size(), out.begin());
   return out;

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/estimators/shared/known_acs_sums.h"
 #include "protocol/estimators/shared/unusable_data.h"
 #include "protocol/model/stage_model.h"
 
@@ -23,19 +24,20 @@ KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
                                 std::to_string(weights.size()) +
                                 " weights; one of each is required at every angle");
   }
-  Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
-  Eigen::Matrix<double, 4, 3> right = Eigen::Matrix<double, 4, 3>::Zero();
+  KnownAcsSums sums;
   for (std::size_t i = 0; i < readings.size(); ++i) {
     const double w = weights.empty() ? 1.0 : weights[i];
     if (!(w >= 0.0) || !std::isfinite(w)) {
       throw std::invalid_argument("fit with known stage errors: weight " + std::to_string(i + 1) + " is " +
                                   std::to_string(w) + "; a finite number >= 0 is required");
     }
-    const Eigen::Vector4d row(gravity[i].x(), gravity[i].y(), gravity[i].z(), 1.0);
-    const Eigen::Vector4d weighted = w * row;
-    normal.noalias() += weighted * row.transpose();
-    right.noalias() += weighted * readings[i].transpose();
+    sums.add(gravity[i], readings[i], w);
   }
+  return fit_of_sums(sums, readings.size());
+}
+
+KnownAcsFit fit_of_sums(const KnownAcsSums& sums, std::size_t readings) {
+  const auto& [normal, right] = sums;
   if (!normal.allFinite() || !right.allFinite()) {
     throw std::invalid_argument("fit with known stage errors: a force or reading is not a finite number");
   }
@@ -45,7 +47,7 @@ KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
   fit.reciprocal_condition = pivots.maxCoeff() > 0.0 ? pivots.minCoeff() / pivots.maxCoeff() : 0.0;
   // Pivots of a singular 4x4 matrix are round-off: a few ulp of the largest.
   if (!(fit.reciprocal_condition > 64.0 * std::numeric_limits<double>::epsilon())) {
-    throw UnusableData("fit with known stage errors: " + std::to_string(readings.size()) +
+    throw UnusableData("fit with known stage errors: " + std::to_string(readings) +
                        " readings do not determine sensitivity and offset; required: poses that turn gravity "
                        "out of one plane");
   }

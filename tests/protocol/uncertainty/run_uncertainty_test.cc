@@ -231,6 +231,82 @@ TEST(RunUncertaintyTest, TypeAWithMeasuredErrorsFindsTheTruthThatPlainAbcMisses)
   EXPECT_THROW(run_type_a(record, measured, 1, options), std::invalid_argument);
 }
 
+// The outputs at the errors' means, by which the moments of a trial are computed without drawing.
+OutputVector fitted(const RunRecord& record, MeasuredAcs known) {
+  known.state.covariance.setZero();
+  known.step = known.repeatability = Angle();
+  MonteCarloOptions options;
+  options.trials = 2;
+  return run_type_a(record, known, 1, options, TypeADraw::kEachError).mean;
+}
+
+TEST(RunUncertaintyTest, TheSumsOfTypeAHaveTheMomentsOfItsErrors) {
+  AcsErrors errors;
+  errors.alignment = {2e-4, -1e-4, 3e-4};
+  errors.mean_step_x = Angle::degrees(-0.02);
+  const RunRecord record = simulated_record(table_2_accelerometer(), errors, 1e-5, 12);
+  const MeasuredAcs measured = MeasuredAcs::not_measured(record);
+  // To first order, along each independent error.
+  const OutputVector centre = fitted(record, measured);
+  OutputCovariance expected = OutputCovariance::Zero();
+  OutputVector mean = centre;
+  const auto add = [&](const OutputVector& below, const OutputVector& above) {
+    expected += 0.25 * (above - below) * (above - below).transpose();
+    mean += 0.5 * (above + below) - centre;
+  };
+  for (Eigen::Index k = 0; k < measured.state.mean.size(); ++k) {
+    MeasuredAcs above = measured, below = measured;
+    above.state.mean(k) += std::sqrt(measured.state.covariance(k, k));
+    below.state.mean(k) -= std::sqrt(measured.state.covariance(k, k));
+    add(fitted(record, below), fitted(record, above));
+  }
+  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
+    if (record.dwells[i].closing) continue;
+    RunRecord above = record, below = record;
+    above.dwells[i].alpha += measured.step;
+    below.dwells[i].alpha += -measured.step;
+    add(fitted(below, measured), fitted(above, measured));
+  }
+  MonteCarloOptions options;
+  options.trials = 100'000;
+  const auto n = static_cast<double>(*options.trials);
+  const auto expect_moments = [&](const MonteCarloResult& found, double trials) {
+    for (int i = 0; i < kStudyOutputs; ++i) {
+      const double u = std::sqrt(expected(i, i));
+      // Five standard deviations of the mean and of a covariance of so many normal numbers; what is left of
+      // higher order is of the size of an error in radian, 1.4e-4.
+      EXPECT_NEAR(found.mean(i), mean(i), 5.0 * u / std::sqrt(trials)) << output_symbol(i);
+      for (int k = 0; k <= i; ++k) {
+        const double product = expected(i, i) * expected(k, k);
+        const double sd = std::sqrt((product + expected(i, k) * expected(i, k)) / trials);
+        EXPECT_NEAR(found.covariance(i, k), expected(i, k), 5.0 * sd + 1e-3 * std::sqrt(product))
+            << output_symbol(i) << ", " << output_symbol(k);
+      }
+    }
+  };
+  expect_moments(run_type_a(record, measured, 1, options), n);
+  options.trials = 10'000;
+  expect_moments(run_type_a(record, measured, 1, options, TypeADraw::kEachError), 1e4);
+}
+
+TEST(RunUncertaintyTest, LargeErrorsOfTypeAAreDrawnOneByOne) {
+  const RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5, 12);
+  MeasuredAcs measured = MeasuredAcs::not_measured(record);
+  MonteCarloOptions options;
+  options.trials = 200;
+  const auto are_equal = [&] {
+    return run_type_a(record, measured, 1, options).covariance ==
+           run_type_a(record, measured, 1, options, TypeADraw::kEachError).covariance;
+  };
+  EXPECT_FALSE(are_equal()) << "the sums are drawn";
+  const double most = Angle::degrees(kMostSummedTypeADegrees).rad();
+  measured.state.covariance(0, 0) = 1.01 * most * most;
+  EXPECT_TRUE(are_equal());
+  measured = MeasuredAcs::not_measured(record);
+  measured.step = Angle::degrees(1.01 * kMostSummedTypeADegrees);
+  EXPECT_TRUE(are_equal());
+}
+
 // Stages drawn from the covariance that the evaluation is told, all effects of the stage among them.
 TEST(RunUncertaintyTest, TypeACoversStagesThatItsCovarianceDescribes) {
   RunRecord record = simulated_record(table_2_accelerometer(), {}, 0.0, 24);
