@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <functional>
 #include <memory>
@@ -24,6 +25,7 @@ namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::ContainsRegex;
 using testing::HasSubstr;
 
 constexpr const char* kByDescription = "described\"\ndescription = \"zaber_ascii";
@@ -60,6 +62,9 @@ TEST(DescribedRunTest, GivesTheSameAnglesAndReadingsAsTheDriverInCpp) {
   }
   // The run keeps the description, so that it can be resumed and read without its file.
   EXPECT_THAT(described.header.bench_toml, HasSubstr("get limit.cycle.dist"));
+  const auto stage = std::ranges::find(described.header.instruments, "stage", &InstrumentIdentity::role);
+  ASSERT_NE(stage, described.header.instruments.end());
+  EXPECT_THAT(stage->details, ContainsRegex("; description zaber_ascii, SHA-256 [0-9a-f]{64}$"));
 }
 
 /// Both axes under way, then something happens; what is left is compared.
