@@ -36,6 +36,8 @@ struct StageAxisConfig {
   Angle zero;        ///< Controller angle at the default orientation.
   std::optional<double> travel_min_deg, travel_max_deg;  ///< Limits narrower than the controller's.
   std::optional<double> speed_deg_per_s;                 ///< Absent: as set in the controller.
+  /// For the driver `described`: units of the controller in a degree, where the description leaves them open.
+  std::optional<double> units_per_degree;
   std::optional<double> wraps_deg;  ///< 360: the controller counts modulo 360 and takes the shorter way.
   // Only if the axis has its own controller; else empty.
   std::string driver, port;

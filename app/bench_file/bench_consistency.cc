@@ -228,6 +228,11 @@ void check_travel(TomlReader& reader, const toml::table& root, const BenchConfig
 /// Reads the description of a described stage; its text is kept.
 void check_description(TomlReader& reader, StageConfig& stage) {
   if (!stage.is_described()) {
+    for (const auto& [key, axis] :
+         {std::pair{"stage.x.units_per_degree", &stage.x}, std::pair{"stage.z.units_per_degree", &stage.z}})
+      if (axis->units_per_degree)
+        reader.add_problem(key, fmt::format("{:g} with another driver", *axis->units_per_degree),
+                           "driver = \"described\", or no units_per_degree");
     for (const auto& [key, value] : {std::pair{"stage.description", &stage.description},
                                      std::pair{"stage.description_text", &stage.description_text}})
       if (!value->empty())
@@ -262,6 +267,14 @@ void check_description(TomlReader& reader, StageConfig& stage) {
       reader.add_problem(std::string(section) + ".speed_deg_per_s",
                          fmt::format("{:g}", *axis->speed_deg_per_s),
                          "none: the description has no [[set_speed]]");
+    if (axis->units_per_degree && !description.scale_in_bench)
+      reader.add_problem(std::string(section) + ".units_per_degree",
+                         fmt::format("{:g}", *axis->units_per_degree), "none: the description has the scale");
+    if (!axis->units_per_degree && description.scale_in_bench)
+      reader.add_problem(
+          std::string(section) + ".units_per_degree", "nothing",
+          "the units of the controller in a degree of this axis: the description leaves them to "
+          "the bench file, as they depend on motor, gear and steps");
     if (description.wraps && !axis->wraps_deg) axis->wraps_deg = 360.0;
   }
 }

@@ -33,6 +33,7 @@ void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisCon
   keys.number("travel_max_deg", axis.travel_max_deg, kTurns);
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kSpeed);
   keys.number("wraps_deg", axis.wraps_deg, {360.0, 360.0});
+  keys.number("units_per_degree", axis.units_per_degree, {1e-9, 1e12});
   std::vector<std::string> drivers{""};
   append_names(drivers, driver_catalogue().stages);
   keys.text("driver", axis.driver, drivers);

@@ -95,6 +95,11 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"stage.AXIS.travel_min_deg",
        {"Lower end of the travel, if narrower than the controller's, for example because of the cable.", ""}},
       {"stage.AXIS.travel_max_deg", {"Upper end of the travel.", ""}},
+      {"stage.AXIS.units_per_degree",
+       {"Driver `described`: units of the controller in a degree, where the description leaves them to the "
+        "bench "
+        "file.",
+        ""}},
       {"stage.AXIS.speed_deg_per_s", {"Speed of the moves. Absent: as set in the controller.", ""}},
       {"stage.AXIS.wraps_deg",
        {"360 for a controller that counts modulo 360 and takes the shorter way: angles beyond one turn are "

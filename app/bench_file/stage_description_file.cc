@@ -42,10 +42,12 @@ class DescriptionReader {
     read_state();
     read_halt();
     read_errors();
+    read_error_query();
     read_emulator();
     check_scale();
     check_wrap();
     check_axes();
+    check_places();
     check_replies();
   }
 
@@ -106,13 +108,23 @@ class DescriptionReader {
     reader_.tables(section, 0, [&](std::size_t) {
       DescribedExchange one{command_form("send", true), reply_form("expect", false),
                             command_form("read_back", false)};
-      if (one.expect.empty() && !one.send.empty()) {
+      reader_.boolean("silent", one.silent);
+      if (one.expect.empty() && !one.silent && !one.send.empty()) {
         reader_.refuse(
             "send", fmt::format("\"{}\", which nothing acknowledges", one.send.text()),
             "expect = \"...\", the reply that accepts it, or read_back = \"...\" with the question "
-            "that reads back what it has set, and its reply as expect: a command that nothing "
-            "acknowledges may not have arrived");
+            "that reads back what it has set, and its reply as expect, or silent = true with [error_query]: "
+            "a command that nothing acknowledges may not have arrived");
       }
+      if (one.silent && !(one.expect.empty() && one.read_back.empty()))
+        reader_.refuse("silent", "true, and expect or read_back", "one of both");
+      // A move that is lost ends elsewhere, which is seen; a speed that is lost is not seen.
+      if (one.silent && section == "set_speed")
+        reader_.refuse(
+            "silent", "true in [[set_speed]]",
+            "expect, the reply that accepts it, or read_back with {speed} in its reply: without an "
+            "error the command may not have arrived all the same");
+      has_silent_ = has_silent_ || one.silent;
       for (const char* field : {"angle", "speed"})
         if (!one.read_back.empty() && !one.expect.empty() && one.send.has(field) && !one.expect.has(field))
           reader_.refuse("expect", "\"" + one.expect.text() + "\"",
@@ -121,6 +133,7 @@ class DescriptionReader {
         reader_.refuse("read_back", "of a move by an {increment}",
                        "expect = \"...\", the reply that accepts it: an increment cannot be read back");
       require_numbers(section, one);
+      refuse_places("expect", one.expect);
       note(one.expect, "expect", true);
       all.push_back(std::move(one));
     });
@@ -142,6 +155,15 @@ class DescriptionReader {
         reader_.refuse(key, fmt::format("{{{}}} in \"{}\"", field, form.text()),
                        known.empty() ? "no number: none is known here"
                                      : fmt::format("{{{}}}, the number that is known here", known));
+  }
+
+  /// Refuses places of axes where no axis is in question.
+  void refuse_places(const char* key, const ReplyForm& form) {
+    if (form.has_places())
+      reader_.refuse(
+          key, "\"" + form.text() + "\", a reply for all axes",
+          "no {before} and {after}: they are known in the replies of [position], [status], [referenced], "
+          "[speed], [scale] and [[travel.query]]");
   }
 
   /// Keeps a form for the checks between sections.
@@ -199,7 +221,10 @@ class DescriptionReader {
 
   void read_identity() {
     reader_.section("");
-    reader_.tables("identify", 0, [&](std::size_t) { out_.identify.push_back(question("")); });
+    reader_.tables("identify", 0, [&](std::size_t) {
+      out_.identify.push_back(question(""));
+      refuse_places("expect", out_.identify.back().expect);
+    });
     if (out_.identify.empty())
       reader_.refuse("identify", "nothing", "[[identify]] with send and expect, and {model} in one reply");
     const bool has_model = std::ranges::any_of(
@@ -225,7 +250,8 @@ class DescriptionReader {
       reader_.refuse("set_speed", "no command with {speed}", "[[set_speed]] with send = \"... {speed:.3f}\"");
     if (reader_.gives("scale")) {
       reader_.section("scale");
-      out_.scale.push_back(question("units_per_turn"));
+      reader_.boolean("in_bench_file", out_.scale_in_bench);
+      if (!out_.scale_in_bench) out_.scale.push_back(question("units_per_turn"));
     }
     if (reader_.gives("speed")) {
       reader_.section("speed");
@@ -244,7 +270,7 @@ class DescriptionReader {
     note(out_.moving, "moving");
     note(out_.stopped, "stopped");
     if (!out_.moving.empty() && !out_.stopped.empty()) {
-      if (const auto both = common_reply(out_.moving.pattern(), out_.stopped.pattern()))
+      if (const auto both = reply_of_both(out_.moving, out_.stopped))
         reader_.refuse("stopped", fmt::format("a reply that is also `moving`, such as \"{}\"", *both),
                        "two forms that no reply fits both: what may be a motion is never taken for rest");
     }
@@ -319,11 +345,20 @@ class DescriptionReader {
     out_.halt_reply = reply_form("expect", false);
     note(out_.halt_reply, "expect", true);
     reader_.text("spoil", out_.spoil);
-    if (out_.spoil.empty())
+    std::string half;
+    reader_.text("half_command", half, {"", "executed"});
+    out_.half_command_executed = !half.empty();
+    if (out_.half_command_executed && !out_.spoil.empty())
+      reader_.refuse("half_command", "\"executed\", and spoil",
+                     "spoil, if the controller refuses a command that ends so; else half_command alone");
+    if (out_.half_command_executed && out_.gap_s > 0.0)
+      reader_.refuse("half_command", "\"executed\", with [transport] gap_s",
+                     "spoil: a motion that the half-written command begins would last until the gap is over");
+    if (out_.spoil.empty() && !out_.half_command_executed)
       reader_.refuse(
           "spoil", "nothing",
           "characters that make a half-written command one that is refused, as spoil = \" ?\": the "
-          "program may die in the middle of a move's angle");
+          "program may die in the middle of a move's angle. If none does: half_command = \"executed\"");
     if (send.empty() == raw.empty()) {
       reader_.section("");
       reader_.refuse("halt", send.empty() ? "no command" : "send and raw",
@@ -332,18 +367,51 @@ class DescriptionReader {
     }
     out_.halt = raw.empty() ? send + command_end_ : raw;
     out_.command_end = command_end_;
-    if (out_.gap_s > 0.0 && out_.halt.find("{axis}") != std::string::npos)
-      reader_.refuse(raw.empty() ? "send" : "raw", "a stop of each axis, with [transport] gap_s",
-                     "one command that stops all axes: the second of two would be lost");
+    if (out_.gap_s > 0.0 && raw.find("{axis}") != std::string::npos)
+      reader_.refuse("raw", "a stop of each axis, with [transport] gap_s",
+                     "one command that stops all axes, or send: bytes without an end are not told apart");
   }
 
   void read_errors() {
     reader_.section("");
     reader_.tables("error", 0, [&](std::size_t) {
       out_.errors.push_back(fault());
+      refuse_places("expect", out_.errors.back().expect);
       if (!out_.errors.back().expect.empty())
         refusals_.push_back({out_.errors.back().expect, reader_.line(), reader_.name("expect")});
     });
+  }
+
+  void read_error_query() {
+    reader_.section("");
+    const bool has_query = reader_.gives("error_query");
+    if (has_silent_ && !has_query)
+      reader_.refuse(
+          "error_query", "nothing, and commands with silent = true",
+          "[error_query] with send, the question for the controller's last error, and none, the reply "
+          "without one");
+    if (!has_query) return;
+    reader_.section("error_query");
+    out_.error_query = DescribedExchange{command_form("send", true), reply_form("none", true), {}};
+    refuse_numbers("send", out_.error_query->send, "");
+    note(out_.error_query->expect, "none");
+    refuse_places("none", out_.error_query->expect);
+    const ReplyPattern none = out_.error_query->expect.pattern();
+    reader_.tables("fault", 0, [&](std::size_t) {
+      out_.queried_errors.push_back(fault());
+      const ReplyForm& form = out_.queried_errors.back().expect;
+      note(form, "expect");
+      refuse_places("expect", form);
+      if (form.empty()) return;
+      if (const auto both = common_reply(none, form.pattern()))
+        reader_.refuse("expect", fmt::format("\"{}\", which can be `none` too: \"{}\"", form.text(), *both),
+                       "two forms that no reply fits both");
+    });
+    if (out_.queried_errors.empty()) {
+      reader_.section("");
+      reader_.refuse("error_query", "no replies with an error",
+                     "[[error_query.fault]] with expect and fault");
+    }
   }
 
   void read_emulator() {
@@ -363,11 +431,15 @@ class DescriptionReader {
   // ---- Checks between sections
 
   void check_scale() {
-    const bool asked = !out_.scale.empty();
+    const bool asked = !out_.scale.empty() || out_.scale_in_bench;
     reader_.section("axes");
     if (unit_ != "deg" && !unit_.empty() && !units_per_degree_ && !asked)
-      reader_.refuse("unit", "\"" + unit_ + "\" without a scale",
-                     "units_per_degree, or [scale] that asks for {units_per_turn}");
+      reader_.refuse(
+          "unit", "\"" + unit_ + "\" without a scale",
+          "units_per_degree, or [scale] that asks for {units_per_turn}, or [scale] in_bench_file = "
+          "true if motor and gear decide it");
+    if (units_per_degree_ && asked)
+      reader_.refuse("units_per_degree", fmt::format("{:g}, and [scale]", *units_per_degree_), "one of both");
     if (unit_ == "deg" && (units_per_degree_ || asked))
       reader_.refuse("unit", "\"deg\" with another scale", "the unit of the angles on the line");
     out_.units_per_degree = units_per_degree_.value_or(1.0);
@@ -377,18 +449,32 @@ class DescriptionReader {
   void check_axes() {
     if (out_.axis_names.size() == 1) return;
     reader_.section("");
-    const auto check = [&](const char* key, const CommandForm& send) {
-      if (!send.empty() && !send.has("axis"))
-        reader_.refuse(
-            key, "\"" + send.text() + "\" without {axis}",
-            "{axis}, the name of the axis; or [axes] names with one name, for a controller of one axis");
+    const auto check = [&](const char* key, const CommandForm& send, const ReplyForm& reply = {}) {
+      if (!send.empty() && !send.has("axis") && !reply.has_places())
+        reader_.refuse(key, "\"" + send.text() + "\" without {axis}",
+                       "{axis}, the name of the axis; or {before ,} and {after ,} in replies for all axes; "
+                       "or [axes] names "
+                       "with one name, for a controller of one axis");
     };
     const auto first_move = std::ranges::find_if(out_.move, [](const DescribedExchange& each) {
       return each.send.has("angle") || each.send.has("increment");
     });
     if (first_move != out_.move.end()) check("move", first_move->send);
-    check("position", out_.position.send);
-    check("status", out_.status.send);
+    check("position", out_.position.send, out_.position.expect);
+    check("status", out_.status.send, out_.moving);
+    if (out_.moving.has_places() != out_.stopped.has_places())
+      reader_.refuse("status", "{before} in one of moving and stopped",
+                     "{before} and {after} in both, or in none");
+  }
+
+  /// Replies for all axes: the place of an axis is that of its name.
+  void check_places() {
+    if (out_.axis_names.size() > 1) return;
+    for (const PlacedForm& placed : answers_)
+      if (placed.form.has_places())
+        reader_.add_problem_at(placed.line, placed.where,
+                               "\"" + placed.form.text() + "\" without the names of the axes",
+                               "[axes] names with all axes of the controller, in the order of its replies");
   }
 
   void check_wrap() {
@@ -412,12 +498,11 @@ class DescriptionReader {
       for (const PlacedForm& answer : answers_) check_pair(refusal, answer, "an answer");
     }
     if (out_.identify.empty() || out_.identify[0].expect.empty()) return;
-    const ReplyPattern identity = out_.identify[0].expect.pattern();
     bool is_first = true;  // The identity itself.
     for (const std::vector<PlacedForm>* forms : {&answers_, &acknowledgements_, &refusals_}) {
       for (const PlacedForm& other : *forms) {
         if (std::exchange(is_first, false)) continue;
-        if (const auto both = common_reply(identity, other.form.pattern()))
+        if (const auto both = reply_of_both(out_.identify[0].expect, other.form))
           reader_.add_problem_at(
               other.line, other.where,
               fmt::format("\"{}\", a reply that can be that of the first [[identify]] too: \"{}\"",
@@ -427,8 +512,17 @@ class DescriptionReader {
     }
   }
 
+  /// A reply that fits both forms, for an axis at any place.
+  std::optional<std::string> reply_of_both(const ReplyForm& one, const ReplyForm& other) const {
+    const bool has_places = one.has_places() || other.has_places();
+    const std::size_t places = has_places ? std::max<std::size_t>(1, out_.axis_names.size()) : 1;
+    for (std::size_t place = 1; place <= places; ++place)
+      if (const auto both = common_reply(one.at(place).pattern(), other.at(place).pattern())) return both;
+    return std::nullopt;
+  }
+
   void check_pair(const PlacedForm& refusal, const PlacedForm& other, const char* word) {
-    if (const auto both = common_reply(refusal.form.pattern(), other.form.pattern()))
+    if (const auto both = reply_of_both(refusal.form, other.form))
       reader_.add_problem_at(refusal.line, refusal.where,
                              fmt::format("\"{}\" can be {} too (line {}, {}): \"{}\"", refusal.form.text(),
                                          word, other.line, other.where, *both),
@@ -439,7 +533,7 @@ class DescriptionReader {
   StageDescription& out_;
   std::string command_end_, unit_, path_;
   std::optional<double> units_per_degree_;
-  bool continuous_ = false;
+  bool continuous_ = false, has_silent_ = false;
   std::vector<PlacedForm> acknowledgements_, answers_, refusals_;
 };
 

@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "app/bench_file/stage_description_file.h"
 #include "app/commands/commands.h"
 #include "app/commands/port_listing.h"
 #include "app/system/exit_code.h"
@@ -25,6 +26,8 @@ void print_as_json(const std::vector<wire::PortInfo>& ports,
   }
   for (const auto& driver : stage_drivers())
     output["stage_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
+  for (const ShippedDescription& described : shipped_descriptions())
+    output["stage_descriptions"].push_back(described.name);
   for (const auto& driver : accelerometer_drivers())
     output["accelerometer_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
   for (const auto& driver : chamber_drivers())
@@ -45,6 +48,9 @@ void print_as_text(const std::vector<wire::PortInfo>& ports,
   }
   print_result("Stage drivers:\n");
   for (const auto& driver : stage_drivers()) print_result("  {:<18} {}\n", driver.name, driver.description);
+  print_result(
+      "Stages with driver = \"described\" and description = \"NAME\", or the path of a description:\n");
+  for (const ShippedDescription& described : shipped_descriptions()) print_result("  {}\n", described.name);
   print_result("Accelerometer drivers:\n");
   for (const auto& driver : accelerometer_drivers())
     print_result("  {:<18} {}\n", driver.name, driver.description);

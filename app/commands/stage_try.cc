@@ -22,6 +22,7 @@
 #include "app/system/real_clock.h"
 #include "app/system/typed_line.h"
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/number.h"
 #include "drivers/text/text.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_interrupted.h"
@@ -32,13 +33,34 @@ namespace {
 using namespace std::chrono_literals;
 
 struct TryOptions {
-  std::string description, port, axes;
+  std::string description, port, axes, units_per_degree;
   double speed_deg_per_s = 2.0;
   double move_deg = 10.0;
 };
 
 constexpr double kArrivedDeg = 0.05;
 constexpr double kLongestSearchS = 600.0;
+
+/// The scale of each axis, where the description leaves it to the bench file.
+void state_scale(const TryOptions& options, const StageDescription& description, StageConfig& stage) {
+  if (!description.scale_in_bench) {
+    if (!options.units_per_degree.empty())
+      throw std::invalid_argument("--units-per-degree: required: nothing, as the description has the scale");
+    return;
+  }
+  const std::vector<std::string_view> numbers = pieces::split(options.units_per_degree, ',');
+  const std::size_t axes = stage.z.axis.empty() ? 1 : 2;
+  for (std::size_t k = 0; k < axes; ++k) {
+    const auto units =
+        numbers.size() == axes ? pieces::number<double>(pieces::trimmed(numbers[k])) : std::nullopt;
+    if (!units || !(*units > 0.0))
+      throw std::invalid_argument(fmt::format(
+          "--units-per-degree: \"{}\"; required: the units of the controller in a degree of each axis, "
+          "as \"{}\": the description leaves them to the bench file",
+          options.units_per_degree, axes == 1 ? "1000" : "1000,1000"));
+    (k == 0 ? stage.x : stage.z).units_per_degree = units;
+  }
+}
 
 /// A bench with the described stage, at the slowest speed, and with an accelerometer that is simulated.
 BenchConfig bench_of_trial(const TryOptions& options, const StageDescription& description) {
@@ -61,6 +83,7 @@ BenchConfig bench_of_trial(const TryOptions& options, const StageDescription& de
   }
   stage.x.axis = names[0];
   stage.z.axis = names.size() > 1 ? names[1] : "";
+  state_scale(options, description, stage);
   for (StageAxisConfig* axis : {&stage.x, &stage.z}) {
     if (!description.set_speed.empty()) axis->speed_deg_per_s = options.speed_deg_per_s;
     if (!description.wraps) continue;
@@ -231,8 +254,11 @@ int try_stage(const TryOptions& options) {
                  options.description);
     return kExitDone;
   }
-  keep_stage_trial(
-      {description.sha256, info.maker, info.model, info.serial_number, format_utc(RealClock().utc_now())});
+  StageTrial trial{description.sha256, info.maker, info.model, info.serial_number,
+                   format_utc(RealClock().utc_now())};
+  for (const StageAxisConfig* axis : {&config.stage.x, &config.stage.z})
+    if (axis->units_per_degree) trial.units_per_degree[axis->axis] = *axis->units_per_degree;
+  keep_stage_trial(trial);
   print_result("{}: passed on {}. Bench files may use it: driver = \"described\"\n", options.description,
                options.port);
   return kExitDone;
@@ -251,6 +277,10 @@ void add_stage_try(CLI::App& parent, int& exit_code) {
                       "port of the stage: each motion is asked for, at a slow speed; absent: the emulator");
   command->add_option("--axes", options->axes,
                       "names of one or two axes, as \"O,I\" (default: as described)");
+  command->add_option(
+      "--units-per-degree", options->units_per_degree,
+      "units of the controller in a degree of each axis, as \"1000,1000\", where the description "
+      "leaves them to the bench file");
   command->add_option("--speed-deg-per-s", options->speed_deg_per_s, "speed of the trial")
       ->check(CLI::Range(0.01, 20.0));
   command->add_option("--move-deg", options->move_deg, "length of a move")->check(CLI::Range(1.0, 80.0));

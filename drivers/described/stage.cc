@@ -31,6 +31,8 @@ constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(20);
 constexpr int kLooksAfterPrepare = 3;
 constexpr Clock::Duration kBetweenLooks = std::chrono::milliseconds(100);
 constexpr double kAtRestDeg = 0.05;
+/// A controller that still reports an error after this many questions has one that stays.
+constexpr int kMostOldErrors = 20;
 
 using Numbers = std::map<std::string, double, std::less<>>;
 
@@ -42,22 +44,18 @@ class DescribedStream final : public wire::ByteStream {
       : stream_(std::move(stream)),
         clock_(clock),
         gap_(from_seconds(description.gap_s)),
+        command_end_(description.command_end),
         filter_(description) {}
 
   void write(std::string_view bytes) override {
     const std::lock_guard lock(write_mutex_);
-    for (;;) {
-      const Clock::Instant free_at = free_instant();
-      if (clock_.now() >= free_at) break;
-      clock_.sleep_until(free_at);
+    while (!bytes.empty()) {
+      const std::size_t end =
+          gap_ > Clock::Duration::zero() ? bytes.find(command_end_) : std::string_view::npos;
+      const std::size_t length = end == std::string_view::npos ? bytes.size() : end + command_end_.size();
+      write_command(bytes.substr(0, length));
+      bytes.remove_prefix(length);
     }
-    {
-      const std::lock_guard state_lock(state_mutex_);
-      filter_.sent(bytes);
-    }
-    stream_->write(bytes);
-    // Its reply, from which the gap counts, may come as late as the gap is long.
-    free_after(2 * gap_);
   }
 
   wire::ReceivedBytes read_until(Clock::Instant deadline) override {
@@ -82,6 +80,21 @@ class DescribedStream final : public wire::ByteStream {
   std::string name() const override { return stream_->name(); }
 
  private:
+  void write_command(std::string_view bytes) {
+    for (;;) {
+      const Clock::Instant free_at = free_instant();
+      if (clock_.now() >= free_at) break;
+      clock_.sleep_until(free_at);
+    }
+    {
+      const std::lock_guard state_lock(state_mutex_);
+      filter_.sent(bytes);
+    }
+    stream_->write(bytes);
+    // Its reply, from which the gap counts, may come as late as the gap is long.
+    free_after(2 * gap_);
+  }
+
   Clock::Instant free_instant() {
     const std::lock_guard lock(state_mutex_);
     return free_at_.value_or(clock_.now());
@@ -94,6 +107,7 @@ class DescribedStream final : public wire::ByteStream {
   const std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
   const Clock::Duration gap_;
+  const std::string command_end_;
   std::mutex write_mutex_;  ///< Taken before the other.
   std::mutex state_mutex_;
   LineFilter filter_;
@@ -184,16 +198,17 @@ class InOrder {
 class DescribedController final : public wire::LineController {
  public:
   DescribedController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : LineController(
-            settings.description->maker + " stage",
-            std::make_unique<DescribedStream>(std::move(stream), clock, *settings.description), clock,
-            check_line,
-            {settings.description->stop_bytes(settings.axis_names, settings.address), kHaltDeadline,
-             2 * from_seconds(settings.description->reply_s) + std::chrono::milliseconds(500),
-             kHaltRetryInterval}),
+      : LineController(settings.description->maker + " stage",
+                       std::make_unique<DescribedStream>(std::move(stream), clock, *settings.description),
+                       clock, check_line,
+                       {stop_bytes(settings), kHaltDeadline,
+                        2 * from_seconds(settings.description->reply_s) + std::chrono::milliseconds(500),
+                        kHaltRetryInterval}),
         clock_(clock),
         settings_(settings),
         description_(*settings.description),
+        of_axes_{description_.for_axis(settings.axis_names[0]),
+                 description_.for_axis(settings.axis_names[1])},
         replies_(line(), description_.identify[0],
                  command_of(description_.identify[0].send, std::nullopt, {}),
                  from_seconds(description_.reply_s)) {}
@@ -212,9 +227,18 @@ class DescribedController final : public wire::LineController {
 
   static std::string shown(const std::string& command) { return InOrder::shown(command); }
 
+  static std::string stop_bytes(const StageSettings& settings) {
+    return fmt::format("{}",
+                       fmt::join(settings.description->stops(settings.axis_names, settings.address), ""));
+  }
+
+  /// The description for an axis.
+  const StageDescription& of(StageAxis axis) const { return of_axes_[index(axis)]; }
+
   /// The refusal that a reply is; nothing: it is none.
-  std::optional<InstrumentError> refusal(const std::string& reply, std::string_view command) const {
-    for (const DescribedFault& error : description_.errors) {
+  std::optional<InstrumentError> refusal(const std::string& reply, std::string_view command,
+                                         const std::vector<DescribedFault>& errors) const {
+    for (const DescribedFault& error : errors) {
       if (!error.expect.match(reply)) continue;
       return failure(error.fault,
                      fmt::format("{}\"{}\" to \"{}\"", error.says.empty() ? "" : error.says + ": ",
@@ -230,7 +254,8 @@ class DescribedController final : public wire::LineController {
       if (reply) {
         const auto fits = [&](const ReplyForm* form) { return form->match(*reply).has_value(); };
         if (std::any_of(forms.begin(), forms.end(), fits)) return *reply;
-        if (const auto refused = refusal(*reply, shown(command))) throw InstrumentError(*refused);
+        if (const auto refused = refusal(*reply, shown(command), description_.errors))
+          throw InstrumentError(*refused);
         replies_.expect_stray_reply();
       } else {
         replies_.get_in_step(shown(command));  // Throws if the controller is silent altogether.
@@ -275,6 +300,7 @@ class DescribedController final : public wire::LineController {
       }
       return;
     }
+    if (exchange.silent) return execute_silently(axis, command);
     const auto reply = replies_.exchange(command);
     if (!reply) {
       throw failure(Fault::kNoReply,
@@ -282,11 +308,47 @@ class DescribedController final : public wire::LineController {
                                 shown(command), description_.reply_s));
     }
     if (exchange.expect.match(*reply)) return;
-    if (const auto refused = refusal(*reply, shown(command))) throw InstrumentError(*refused);
+    if (const auto refused = refusal(*reply, shown(command), description_.errors))
+      throw InstrumentError(*refused);
     replies_.expect_stray_reply();
     throw failure(Fault::kBadFrame,
                   fmt::format("\"{}\" is not a reply to \"{}\"; required: \"{}\"", wire::printable(*reply),
                               shown(command), exchange.expect.text()));
+  }
+
+  /// Sends a command without a reply, and asks for the controller's last error, which is then cleared: so it
+  /// is asked once.
+  void execute_silently(StageAxis axis, const std::string& command) {
+    const std::string query = command_of(description_.error_query->send, axis, {});
+    // Errors from before, such as that of a command which a halt has spoiled.
+    std::optional<std::string> error;
+    for (int n = 0; n < kMostOldErrors && (n == 0 || error); ++n)
+      error = last_error(query, command, "not sent");
+    if (error)
+      throw failure(Fault::kNotReady,
+                    fmt::format("\"{}\" is still answered \"{}\" after {} questions, so that \"{}\" was not "
+                                "sent; required: \"{}\"",
+                                shown(query), wire::printable(*error), kMostOldErrors, shown(command),
+                                description_.error_query->expect.text()));
+    line().send(command);
+    error = last_error(query, command, "perhaps not accepted");
+    if (error) throw InstrumentError(*refusal(*error, shown(command), description_.queried_errors));
+  }
+
+  /// The controller's last error; absent: it has none.
+  std::optional<std::string> last_error(const std::string& query, const std::string& command,
+                                        std::string_view consequence) {
+    const auto reply = replies_.exchange(query);
+    if (!reply)
+      throw failure(Fault::kNoReply,
+                    fmt::format("no answer to \"{}\" within {} s, so that \"{}\" was {}", shown(query),
+                                description_.reply_s, shown(command), consequence));
+    if (description_.error_query->expect.match(*reply)) return std::nullopt;
+    if (refusal(*reply, shown(query), description_.queried_errors)) return reply;
+    replies_.expect_stray_reply();
+    throw failure(Fault::kBadFrame,
+                  fmt::format("\"{}\" is not an answer to \"{}\", so that \"{}\" was {}",
+                              wire::printable(*reply), shown(query), shown(command), consequence));
   }
 
   /// Whether the controller has set what it was sent.
@@ -320,8 +382,10 @@ class DescribedController final : public wire::LineController {
   double units_per_degree(StageAxis axis) {
     std::optional<double>& known = units_per_degree_[index(axis)];
     if (known) return *known;
-    if (description_.scale.empty()) return description_.units_per_degree;
-    const double per_turn = number(ask(description_.scale[0], axis), "units_per_turn");
+    if (description_.scale_in_bench) return settings_.units_per_degree[index(axis)].value();
+    const std::vector<DescribedExchange>& scale = of(axis).scale;
+    if (scale.empty()) return description_.units_per_degree;
+    const double per_turn = number(ask(scale[0], axis), "units_per_turn");
     if (!(per_turn > 0.0))
       throw failure(Fault::kWrongIdentity,
                     fmt::format("axis {} has {} units per turn, so it is not a rotary axis", to_string(axis),
@@ -335,14 +399,14 @@ class DescribedController final : public wire::LineController {
   }
 
   std::string status(StageAxis axis) {
-    std::vector<const ReplyForm*> forms{&description_.moving, &description_.stopped};
-    for (const DescribedFault& fault : description_.status_faults) forms.push_back(&fault.expect);
+    std::vector<const ReplyForm*> forms{&of(axis).moving, &of(axis).stopped};
+    for (const DescribedFault& fault : of(axis).status_faults) forms.push_back(&fault.expect);
     return ask(command_of(description_.status.send, axis, {}), forms);
   }
 
   /// A state of the axis that is a fault.
   void require_sound(const std::string& status, StageAxis axis) const {
-    for (const DescribedFault& fault : description_.status_faults) {
+    for (const DescribedFault& fault : of(axis).status_faults) {
       if (!fault.expect.match(status)) continue;
       throw failure(fault.fault, fmt::format("axis {}: {}", to_string(axis),
                                              fault.says.empty() ? "status \"" + status + "\"" : fault.says));
@@ -351,8 +415,8 @@ class DescribedController final : public wire::LineController {
 
   /// Whether the axis moves. A reply that is neither motion nor rest is no answer.
   bool moves(const std::string& status, StageAxis axis) const {
-    if (description_.moving.match(status)) return true;
-    if (description_.stopped.match(status)) return false;
+    if (of(axis).moving.match(status)) return true;
+    if (of(axis).stopped.match(status)) return false;
     throw failure(Fault::kBadFrame, fmt::format("axis {}: status \"{}\" is neither motion nor rest",
                                                 to_string(axis), wire::printable(status)));
   }
@@ -367,7 +431,7 @@ class DescribedController final : public wire::LineController {
       const std::string now = status(axis);
       const double turned = std::remainder(encoder_angle(axis).deg() - before, 360.0);
       if (moves_or_fault(now, axis) || std::abs(turned) > kAtRestDeg) {
-        line().send(description_.stop_bytes(settings_.axis_names, settings_.address));
+        line().send(stop_bytes(settings_));
         replies_.expect_stray_reply();
         throw failure(
             Fault::kRefused,
@@ -384,24 +448,24 @@ class DescribedController final : public wire::LineController {
 
   bool moves_or_fault(const std::string& status, StageAxis axis) const {
     const bool is_fault =
-        std::any_of(description_.status_faults.begin(), description_.status_faults.end(),
+        std::any_of(of(axis).status_faults.begin(), of(axis).status_faults.end(),
                     [&](const DescribedFault& fault) { return fault.expect.match(status); });
-    return description_.moving.match(status) || (!is_fault && moves(status, axis));
+    return of(axis).moving.match(status) || (!is_fault && moves(status, axis));
   }
 
   bool is_referenced(StageAxis axis) {
     if (description_.always_referenced) return true;
     std::vector<const ReplyForm*> forms;
-    for (const ReplyForm& form : description_.is_referenced) forms.push_back(&form);
-    for (const ReplyForm& form : description_.is_not_referenced) forms.push_back(&form);
+    for (const ReplyForm& form : of(axis).is_referenced) forms.push_back(&form);
+    for (const ReplyForm& form : of(axis).is_not_referenced) forms.push_back(&form);
     const std::string reply = ask(command_of(description_.referenced->send, axis, {}), forms);
-    return std::none_of(description_.is_not_referenced.begin(), description_.is_not_referenced.end(),
+    return std::none_of(of(axis).is_not_referenced.begin(), of(axis).is_not_referenced.end(),
                         [&](const ReplyForm& form) { return form.match(reply); });
   }
 
   void find_travel(StageAxis axis, StageAxisInfo& info) {
     double lower = description_.lower_deg.value_or(0.0), upper = description_.upper_deg.value_or(360.0);
-    for (const DescribedExchange& query : description_.travel) {
+    for (const DescribedExchange& query : of(axis).travel) {
       const FieldValues values = ask(query, axis);
       if (query.expect.has("lower")) lower = number(values, "lower") / units_per_degree(axis);
       if (query.expect.has("upper")) upper = number(values, "upper") / units_per_degree(axis);
@@ -417,7 +481,7 @@ class DescribedController final : public wire::LineController {
     if (speed) {
       info.speed_deg_per_s = *speed;
     } else if (description_.speed) {
-      info.speed_deg_per_s = number(ask(*description_.speed, axis), "speed") / speed_on_line(axis, 1.0);
+      info.speed_deg_per_s = number(ask(*of(axis).speed, axis), "speed") / speed_on_line(axis, 1.0);
     }
     info.referenced = is_referenced(axis);
     return info;
@@ -565,7 +629,7 @@ class DescribedController final : public wire::LineController {
   Angle encoder_angle(StageAxis axis) override {
     require_here(axis);
     const double scale = units_per_degree(axis);
-    return Angle::degrees(number(ask(description_.position, axis), "angle") / scale);
+    return Angle::degrees(number(ask(of(axis).position, axis), "angle") / scale);
   }
 
   // ---- Halt
@@ -583,7 +647,7 @@ class DescribedController final : public wire::LineController {
       AxisHalt& found = report.axes[index(axis)];
       if (!is_here(axis)) found = AxisHalt::kHalted;
       if (found == AxisHalt::kHalted) continue;
-      if (says_so([&] { return description_.stopped.match(status(axis)).has_value(); }))
+      if (says_so([&] { return of(axis).stopped.match(status(axis)).has_value(); }))
         found = AxisHalt::kHalted;
     }
     return report;
@@ -601,8 +665,11 @@ class DescribedController final : public wire::LineController {
   std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe;
     recipe.driver = "described";
+    // Where nothing spoils a half-written command, it is carried out, and the stop follows at once.
     recipe.end_partial = description_.spoil + description_.command_end;
-    recipe.stop = description_.stop_bytes(settings_.axis_names, settings_.address);
+    recipe.further_stops = description_.stops(settings_.axis_names, settings_.address);
+    recipe.stop = recipe.further_stops.front();
+    recipe.further_stops.erase(recipe.further_stops.begin());
     recipe.reply_time = std::chrono::ceil<std::chrono::milliseconds>(from_seconds(description_.reply_s));
     // From a command, whose reply may come as late as the gap is long.
     recipe.gap = std::chrono::ceil<std::chrono::milliseconds>(2 * from_seconds(description_.gap_s));
@@ -611,22 +678,23 @@ class DescribedController final : public wire::LineController {
     recipe.questions.push_back({.bytes = command_of(identity.send, std::nullopt, {}),
                                 .reply = with_blanks(identity.expect.pattern()),
                                 .standing = {}});
-    ReplyPattern any = description_.moving.pattern() | description_.stopped.pattern();
-    for (const DescribedFault& fault : description_.status_faults)
-      any = std::move(any) | fault.expect.pattern();
     for (const StageAxis axis : kStageAxes) {
       if (!is_here(axis)) continue;
+      ReplyPattern any = of(axis).moving.pattern() | of(axis).stopped.pattern();
+      for (const DescribedFault& fault : of(axis).status_faults)
+        any = std::move(any) | fault.expect.pattern();
       recipe.axes[index(axis)] = true;
       recipe.questions.push_back({.bytes = command_of(description_.status.send, axis, {}),
                                   .reply = with_blanks(any),
-                                  .standing = with_blanks(description_.stopped.pattern())});
+                                  .standing = with_blanks(of(axis).stopped.pattern())});
     }
     return {recipe};
   }
 
   Clock& clock_;
   StageSettings settings_;
-  const StageDescription& description_;  ///< A member of the settings.
+  const StageDescription& description_;            ///< A member of the settings.
+  const std::array<StageDescription, 2> of_axes_;  ///< With the places of the axes in replies for all.
   InOrder replies_;
   std::array<std::optional<double>, 2> units_per_degree_{}, usual_speed_{};
   std::array<bool, 2> prepared_{}, speed_set_{};
@@ -636,6 +704,13 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
   if (!settings.description) throw std::invalid_argument("described stage: no description");
   const StageDescription& description = *settings.description;
   wire::check_stage_settings(description.maker, "the name", stream, settings);
+  for (const StageAxis axis : kStageAxes)
+    if (description.scale_in_bench && !settings.axis_names[index(axis)].empty() &&
+        !settings.units_per_degree[index(axis)])
+      throw std::invalid_argument(
+          fmt::format("{} stage: axis {} without units_per_degree; required: a number, "
+                      "as the description {} leaves it to the bench file",
+                      description.maker, to_string(axis), description.source));
   for (const std::string& name : settings.axis_names) {
     const auto& known = description.axis_names;
     if (name.empty() || known.empty() || std::find(known.begin(), known.end(), name) != known.end()) continue;

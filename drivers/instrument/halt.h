@@ -55,6 +55,7 @@ struct HaltRecipe {
   std::string stop;                            ///< Stops all axes; its reply is not awaited.
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
+  std::vector<std::string> further_stops{};    ///< Commands behind `stop`, each after the gap.
   /// Least time between two commands, also after `end_partial`: an earlier one would be lost.
   std::chrono::milliseconds gap{0};
   std::string reply_end{};  ///< Terminator of a reply; empty: CR, LF or both.

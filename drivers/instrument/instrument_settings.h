@@ -13,6 +13,8 @@ struct StageDescription;
 struct StageSettings {
   std::array<std::string, 2> axis_names{"1", "2"};       ///< The controller's names of X and Z.
   std::array<std::optional<double>, 2> speed_deg_per_s;  ///< Absent: the controller's own setting.
+  /// Units of the controller in a degree, where its description leaves them to the bench file.
+  std::array<std::optional<double>, 2> units_per_degree{};
   std::string address;  ///< Address of a controller in a daisy chain; empty: none.
   std::string unit{};   ///< Unit of the axes if the controller does not report it: "deg"; empty: not known.
   std::shared_ptr<const StageDescription>

@@ -21,6 +21,9 @@ struct ReplyPart {
     kRun,     ///< From `least` to `most` bytes, each of which is one of `bytes`.
     kNumber,  ///< A decimal number from `least` to `most`, without a sign and without leading zeros.
     kText,    ///< Zero or more bytes; no CR and no LF.
+    /// A whole decimal number of 32 bits, -2147483648 to 4294967295, of at most ten digits, perhaps with a
+    /// sign. `least` 0: all bits of `most` are 0 in it; 1: at least one of them is 1.
+    kBits,
   };
 
   bool operator==(const ReplyPart&) const = default;
@@ -89,6 +92,14 @@ inline ReplyPart spaces() {
 /// A decimal number from `least` to `most`, without a sign and without leading zeros.
 inline ReplyPart number(std::uint32_t least, std::uint32_t most) {
   return {.kind = ReplyPart::Kind::kNumber, .least = least, .most = most};
+}
+
+/// A whole decimal number of 32 bits, perhaps negative, in which no bit of the mask is 1, or at least one is.
+inline ReplyPart no_bit_of(std::uint32_t mask) {
+  return {.kind = ReplyPart::Kind::kBits, .least = 0, .most = mask};
+}
+inline ReplyPart some_bit_of(std::uint32_t mask) {
+  return {.kind = ReplyPart::Kind::kBits, .least = 1, .most = mask};
 }
 
 /// Anything, also nothing, in the same line.

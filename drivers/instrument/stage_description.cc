@@ -1,13 +1,17 @@
 #include "drivers/instrument/stage_description.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <bitset>
 #include <cmath>
 #include <deque>
+#include <limits>
 #include <set>
+#include <span>
 #include <stdexcept>
+#include <tuple>
 #include <utility>
 
 #include "drivers/text/number.h"
@@ -44,6 +48,9 @@ const std::string& word_bytes() {
   return all;
 }
 
+/// The characters of which a reply for all axes may have one for each.
+constexpr std::string_view kStateLetters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789?";
+
 std::optional<std::uint32_t> hex_number(std::string_view text) {
   return text.empty() ? std::nullopt : pieces::number<std::uint32_t>(text, 16);
 }
@@ -54,8 +61,10 @@ std::optional<std::uint32_t> hex_number(std::string_view text) {
 
 constexpr const char* kReplyFields =
     "{angle}, {speed}, {lower}, {upper} or {units_per_turn} for a number, {model}, {serial}, {firmware}, "
-    "{maker} or {text} for a text, {word}, {number}, {digits}, {digits2}, {0..39}, {hex}, {hex4}, {hex4 none "
-    "0002}, {hex4 some 0002}";
+    "{maker} or {text} for a text, {serial:digits}, {word}, {number}, {digits}, {digits2}, {0..39}, {hex}, "
+    "{hex4}, {hex4 none 0002}, {hex4 some 0002}, {decimal}, {decimal none bits 0 3}, {decimal some bits 0 "
+    "3}, "
+    "{one of A B}, {before ,} or {after ,}";
 
 /// A word in braces with a number behind it: "digits2".
 std::optional<std::uint32_t> count_behind(std::string_view field, std::string_view word) {
@@ -64,7 +73,47 @@ std::optional<std::uint32_t> count_behind(std::string_view field, std::string_vi
   return field.empty() ? 0U : pieces::number<std::uint32_t>(field);
 }
 
+/// {decimal some bits 0 3}: bits by their numbers, so that no mask is taken for decimal or hexadecimal.
+Part bits_part(std::string_view field, const std::vector<std::string_view>& words) {
+  Part part{.kind = Part::Kind::kBits, .bits = Part::Bits::kNoneSet};
+  if (words.size() == 1) return part;
+  bool is_good = words.size() > 3 && (words[1] == "none" || words[1] == "some") && words[2] == "bits";
+  for (std::size_t k = 3; is_good && k < words.size(); ++k) {
+    const auto bit = pieces::number<std::uint32_t>(words[k]);
+    is_good = bit && *bit < 32;
+    if (is_good) part.mask |= 1U << *bit;
+  }
+  if (!is_good)
+    refuse_field(field,
+                 "{decimal some bits 0 3} or {decimal none bits 0 3}, with the numbers of the bits, 0 to 31");
+  if (words[1] == "some") part.bits = Part::Bits::kSomeSet;
+  return part;
+}
+
+/// {before ,} and {after ,}: the axes in front of this one, and behind it.
+std::optional<Part> place_part(std::string_view field, const std::vector<std::string_view>& words) {
+  if (words.empty() || (words[0] != "before" && words[0] != "after")) return std::nullopt;
+  Part part{.kind = words[0] == "before" ? Part::Kind::kBefore : Part::Kind::kAfter};
+  if (words.size() == 1) return part;
+  part.text = words[1] == "blank" ? " " : std::string(words[1]);
+  if (words.size() > 2 || part.text.size() != 1 || kNumberBytes.find(part.text) != std::string_view::npos)
+    refuse_field(field, fmt::format("{{{0}}}: a character for each axis, {{{0} ,}}: commas between them, or "
+                                    "{{{0} blank}}",
+                                    words[0]));
+  return part;
+}
+
 Part reply_part(std::string_view field) {
+  if (const std::size_t colon = field.find(':'); colon != std::string_view::npos) {
+    const std::string_view name = field.substr(0, colon);
+    if (!is_one_of(name, text_fields()) || name == "text")
+      refuse_field(field, "{serial:digits}, or likewise {model:...}, {firmware:...}, {maker:...}");
+    Part part = reply_part(field.substr(colon + 1));
+    if (!part.field.empty() || part.kind == Part::Kind::kBefore || part.kind == Part::Kind::kAfter)
+      refuse_field(field, "{serial:digits}, {serial:digits6}, {serial:hex} or {serial:word}");
+    part.field = name;
+    return part;
+  }
   if (is_one_of(field, number_fields())) return {.kind = Part::Kind::kNumber, .field = std::string(field)};
   if (is_one_of(field, text_fields())) return {.kind = Part::Kind::kText, .field = std::string(field)};
   if (field == "word") return {.kind = Part::Kind::kWord};
@@ -72,7 +121,14 @@ Part reply_part(std::string_view field) {
   if (const auto digits = count_behind(field, "digits"); digits && *digits <= 20)
     return {.kind = Part::Kind::kDigits, .least = *digits};
   const std::vector<std::string_view> words = pieces::words(field);
+  if (const auto part = place_part(field, words)) return *part;
   if (!words.empty()) {
+    if (words[0] == "decimal") return bits_part(field, words);
+    if (words.size() > 2 && words[0] == "one" && words[1] == "of") {
+      Part part{.kind = Part::Kind::kOneOf};
+      for (const std::string_view choice : std::span(words).subspan(2)) part.choices.emplace_back(choice);
+      return part;
+    }
     if (const auto digits = count_behind(words[0], "hex"); digits && *digits <= kMostHexDigits) {
       Part part{.kind = Part::Kind::kHex, .least = *digits};
       if (words.size() == 1) return part;
@@ -130,6 +186,49 @@ bool fits_bits(const Part& part, std::string_view digits) {
   return part.bits == Part::Bits::kFree || (*value & part.mask) != 0;
 }
 
+/// Whether it is a whole number of 32 bits under the mask of a part.
+bool fits_decimal_bits(const Part& part, std::string_view text) {
+  constexpr std::size_t kMostDigits = 10;
+  const std::string_view digits = text.substr(text.starts_with('-') || text.starts_with('+') ? 1 : 0);
+  if (digits.empty() || digits.size() > kMostDigits ||
+      digits.find_first_not_of(pattern::kDecimalDigits) != std::string_view::npos)
+    return false;
+  const auto value = pieces::number<std::int64_t>(pieces::without_plus(text));
+  if (!value || *value < std::numeric_limits<std::int32_t>::min() ||
+      *value > std::numeric_limits<std::uint32_t>::max())
+    return false;
+  return ((static_cast<std::uint32_t>(*value) & part.mask) != 0) == (part.bits == Part::Bits::kSomeSet);
+}
+
+/// The parts of `part.least` axes in front.
+std::vector<ReplyPart> parts_before(const Part& part) {
+  if (part.text.empty()) return {pattern::run(kStateLetters, part.least, part.least)};
+  // An item may have blanks within, unless they are between the items.
+  std::string first = word_bytes(), other = word_bytes() + " ";
+  for (std::string* bytes : {&first, &other}) std::erase(*bytes, part.text[0]);
+  std::vector<ReplyPart> parts;
+  for (std::uint32_t n = 0; n < part.least; ++n) {
+    parts.push_back(pattern::run(first, 1, 1));
+    parts.push_back(pattern::run(other, 0));
+    parts.push_back(pattern::literal(part.text));
+    parts.push_back(pattern::spaces());
+  }
+  return parts;
+}
+
+/// Whether the text is the parts of `part.least` axes in front.
+bool are_items_before(const Part& part, std::string_view text) {
+  if (part.text.empty())
+    return text.size() == part.least && text.find_first_not_of(kStateLetters) == std::string_view::npos;
+  for (std::uint32_t n = 0; n < part.least; ++n) {
+    const std::size_t end = text.find(part.text[0]);
+    if (end == std::string_view::npos || end == 0 || text[0] == ' ') return false;
+    text.remove_prefix(end + 1);
+    text.remove_prefix(std::min(text.find_first_not_of(' '), text.size()));
+  }
+  return text.empty();
+}
+
 /// Whether a part can be exactly this text.
 bool is_one(const Part& part, std::string_view text) {
   const auto all_of = [&](std::string_view set) {
@@ -156,6 +255,17 @@ bool is_one(const Part& part, std::string_view text) {
       return !text.empty() && all_of(word_bytes());
     case Part::Kind::kText:
       return true;
+    case Part::Kind::kOneOf:
+      return std::find(part.choices.begin(), part.choices.end(), text) != part.choices.end();
+    case Part::Kind::kBits:
+      return fits_decimal_bits(part, text);
+    case Part::Kind::kBefore:
+      return are_items_before(part, text);
+    case Part::Kind::kAfter: {
+      if (part.text.empty()) return all_of(kStateLetters);
+      const std::string_view rest = text.substr(std::min(text.find_first_not_of(' '), text.size()));
+      return text.empty() || (part.text == " " ? text[0] == ' ' : rest.starts_with(part.text));
+    }
   }
   return false;
 }
@@ -232,49 +342,66 @@ std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
       return {{pattern::run(word_bytes())}};
     case Part::Kind::kText:
       return {{pattern::text()}};
+    case Part::Kind::kOneOf: {
+      std::vector<std::vector<ReplyPart>> all;
+      for (const std::string& choice : part.choices) all.push_back({pattern::literal(choice)});
+      return all;
+    }
+    case Part::Kind::kBits:
+      return {{part.bits == Part::Bits::kSomeSet ? pattern::some_bit_of(part.mask)
+                                                 : pattern::no_bit_of(part.mask)}};
+    case Part::Kind::kBefore:
+      return {parts_before(part)};
+    case Part::Kind::kAfter:
+      if (part.text.empty()) return {{pattern::run(kStateLetters, 0)}};
+      if (part.text == " ") return {{}, {pattern::run(" "), pattern::text()}};
+      return {{}, {pattern::spaces(), pattern::literal(part.text), pattern::text()}};
   }
   return {};
 }
 
-/// An automaton of a pattern: states with the bytes that lead on. A number of a range is taken for digits.
+/// An automaton of a pattern: states with the bytes that lead on. A number of a range is taken for digits,
+/// and one under a mask too, unless both patterns have one at the same place.
 struct Automaton {
   using Bytes = std::bitset<256>;
   struct Arc {
     Bytes bytes;
     std::size_t to = 0;
   };
+  /// The end of a number under a mask, which leads out of its digits.
+  struct Exit {
+    ReplyPart bits;
+    std::size_t to = 0;
+  };
   std::vector<std::vector<Arc>> arcs;
   std::vector<std::vector<std::size_t>> free;  ///< Without a byte.
+  std::vector<std::optional<Exit>> exits;
+  std::vector<bool> in_bits;  ///< Within a number under a mask.
   std::vector<bool> last;
 
   std::size_t add_state() {
     arcs.emplace_back();
     free.emplace_back();
+    exits.emplace_back();
+    in_bits.push_back(false);
     last.push_back(false);
     return arcs.size() - 1;
   }
-
-  std::set<std::size_t> closed(std::set<std::size_t> states) const {
-    std::vector<std::size_t> open(states.begin(), states.end());
-    while (!open.empty()) {
-      const std::size_t state = open.back();
-      open.pop_back();
-      for (const std::size_t to : free[state])
-        if (states.insert(to).second) open.push_back(to);
-    }
-    return states;
-  }
-  std::set<std::size_t> after(const std::set<std::size_t>& states, unsigned char byte) const {
-    std::set<std::size_t> to;
-    for (const std::size_t state : states)
-      for (const Arc& arc : arcs[state])
-        if (arc.bytes.test(byte)) to.insert(arc.to);
-    return closed(std::move(to));
-  }
-  bool accepts(const std::set<std::size_t>& states) const {
-    return std::any_of(states.begin(), states.end(), [&](std::size_t state) { return last[state]; });
-  }
 };
+
+/// The numbers of two places at which both patterns have one under a mask.
+std::optional<std::uint32_t> common_bits(const ReplyPart& one, const ReplyPart& other) {
+  std::uint32_t zeros = 0, value = 0;
+  for (const ReplyPart* part : {&one, &other})
+    if (part->least == 0) zeros |= part->most;
+  for (const ReplyPart* part : {&one, &other}) {
+    if (part->least == 0) continue;
+    const std::uint32_t left = part->most & ~zeros;
+    if (left == 0) return std::nullopt;
+    value |= left & (~left + 1U);  // Its lowest bit.
+  }
+  return value;
+}
 
 Automaton::Bytes bytes_of(std::string_view set) {
   Automaton::Bytes bytes;
@@ -323,6 +450,16 @@ std::size_t add_part(Automaton& automaton, std::size_t from, const ReplyPart& pa
       }
       return end;
     }
+    case ReplyPart::Kind::kBits: {
+      const Automaton::Bytes digits = bytes_of(pattern::kDecimalDigits);
+      const std::size_t inside = step(from, digits), sign = step(from, bytes_of("+-"));
+      automaton.arcs[sign].push_back({digits, inside});
+      loop(inside, digits);
+      const std::size_t end = automaton.add_state();
+      automaton.exits[inside] = Automaton::Exit{part, end};
+      automaton.in_bits[inside] = automaton.in_bits[sign] = true;
+      return end;
+    }
     case ReplyPart::Kind::kText: {
       const std::size_t more = automaton.add_state();
       automaton.free[from].push_back(more);
@@ -368,12 +505,30 @@ ReplyForm::ReplyForm(std::string text) : text_(std::move(text)) {
         if (!is_blank) parts_.back().text += c;
       },
       [&](std::string_view field) { parts_.push_back(reply_part(field)); });
+  const auto place_of = [&](Part::Kind kind) {
+    return std::find_if(parts_.begin(), parts_.end(), [&](const Part& part) { return part.kind == kind; });
+  };
+  const auto count_of = [&](Part::Kind kind) {
+    return std::count_if(parts_.begin(), parts_.end(), [&](const Part& part) { return part.kind == kind; });
+  };
+  if (const auto before = place_of(Part::Kind::kBefore), after = place_of(Part::Kind::kAfter);
+      before != parts_.end() || after != parts_.end()) {
+    if (before >= after || after == parts_.end() || before->text != after->text ||
+        count_of(Part::Kind::kBefore) != 1 || count_of(Part::Kind::kAfter) != 1)
+      throw std::invalid_argument(
+          "{before} and {after} that are no pair; required: one of each, in this order, both with the same "
+          "character between the axes, as {before ,}{angle}{after ,}");
+  }
   for (std::size_t k = 1; k < parts_.size(); ++k) {
     const auto is_open = [](const Part& part) {
       return part.kind == Part::Kind::kText || part.kind == Part::Kind::kWord ||
              part.kind == Part::Kind::kNumber;
     };
-    if (is_open(parts_[k - 1]) && is_open(parts_[k]))
+    const auto swallows = [&](const Part& part, const Part& next) {
+      const bool takes_all = part.kind == Part::Kind::kText || part.kind == Part::Kind::kWord;
+      return next.kind == Part::Kind::kAfter && (next.text.empty() ? is_open(part) : takes_all);
+    };
+    if ((is_open(parts_[k - 1]) && is_open(parts_[k])) || swallows(parts_[k - 1], parts_[k]))
       throw std::invalid_argument(
           "two fields with nothing between them, so that nobody knows where one ends; "
           "required: a blank or text between them");
@@ -382,6 +537,43 @@ ReplyForm::ReplyForm(std::string text) : text_(std::move(text)) {
 
 bool ReplyForm::has(std::string_view field) const {
   return std::any_of(parts_.begin(), parts_.end(), [&](const Part& part) { return part.field == field; });
+}
+
+bool ReplyForm::has_places() const {
+  return std::any_of(parts_.begin(), parts_.end(),
+                     [](const Part& part) { return part.kind == Part::Kind::kBefore; });
+}
+
+ReplyForm ReplyForm::at(std::size_t place) const {
+  ReplyForm form = *this;
+  for (Part& part : form.parts_)
+    if (part.kind == Part::Kind::kBefore) part.least = static_cast<std::uint32_t>(place - 1);
+  return form;
+}
+
+ReplyForm ReplyForm::item() const {
+  ReplyForm form = *this;
+  const auto before = std::find_if(form.parts_.begin(), form.parts_.end(),
+                                   [](const Part& part) { return part.kind == Part::Kind::kBefore; });
+  if (before != form.parts_.end()) form.parts_.erase(form.parts_.begin(), before + 1);
+  const auto after = std::find_if(form.parts_.begin(), form.parts_.end(),
+                                  [](const Part& part) { return part.kind == Part::Kind::kAfter; });
+  form.parts_.erase(after, form.parts_.end());
+  return form;
+}
+
+std::string ReplyForm::reply_of(const std::vector<std::string>& items) const {
+  ReplyForm around = *this;
+  std::erase_if(around.parts_, [within = false](const Part& part) mutable {
+    const bool is_item = within && part.kind != Part::Kind::kAfter;
+    if (part.kind == Part::Kind::kBefore || part.kind == Part::Kind::kAfter)
+      within = part.kind == Part::Kind::kBefore;
+    return is_item || part.kind == Part::Kind::kAfter;
+  });
+  for (Part& part : around.parts_)
+    if (part.kind == Part::Kind::kBefore)
+      part = {.kind = Part::Kind::kLiteral, .text = fmt::format("{}", fmt::join(items, part.text))};
+  return around.reply({});
 }
 
 std::optional<FieldValues> ReplyForm::match(std::string_view reply) const {
@@ -413,7 +605,7 @@ std::string ReplyForm::reply(const FieldValues& values) const {
   std::string out;
   for (const Part& part : parts_) {
     const auto value = part.field.empty() ? values.end() : values.find(part.field);
-    if (value != values.end()) {
+    if (value != values.end() && is_one(part, value->second)) {
       out += value->second;
       continue;
     }
@@ -443,28 +635,105 @@ std::string ReplyForm::reply(const FieldValues& values) const {
       case Part::Kind::kText:
         out += "0";
         break;
+      case Part::Kind::kOneOf:
+        out += part.choices.front();
+        break;
+      case Part::Kind::kBits:
+        out += std::to_string(part.bits == Part::Bits::kSomeSet ? part.mask : 0U);
+        break;
+      case Part::Kind::kBefore:
+        for (std::uint32_t n = 0; n < part.least; ++n) out += "0" + part.text;
+        break;
+      case Part::Kind::kAfter:
+        break;
     }
   }
   return out;
 }
 
-std::optional<std::string> common_reply(const ReplyPattern& one, const ReplyPattern& other) {
-  const Automaton a = automaton_of(one), b = automaton_of(other);
-  using States = std::pair<std::set<std::size_t>, std::set<std::size_t>>;
-  std::deque<std::pair<States, std::string>> open{{{a.closed({0}), b.closed({0})}, ""}};
-  std::set<States> seen{open.front().first};
-  while (!open.empty()) {
-    const auto [states, so_far] = std::move(open.front());
-    open.pop_front();
-    if (a.accepts(states.first) && b.accepts(states.second)) return so_far;
-    if (so_far.size() >= kLongestHaltReply) continue;
-    for (unsigned char byte = 0x20; byte < 0x7F; ++byte) {
-      States next{a.after(states.first, byte), b.after(states.second, byte)};
-      if (next.first.empty() || next.second.empty() || !seen.insert(next).second) continue;
-      open.emplace_back(std::move(next), so_far + static_cast<char>(byte));
+namespace {
+
+/// A search for a reply that two automata accept: a state of each at a time, breadth first.
+class CommonReply {
+ public:
+  CommonReply(const ReplyPattern& one, const ReplyPattern& other)
+      : a_(automaton_of(one)), b_(automaton_of(other)) {}
+
+  std::optional<std::string> find() {
+    add({});
+    while (!open_.empty()) {
+      const Place at = std::move(open_.front());
+      open_.pop_front();
+      if (a_.last[at.a] && b_.last[at.b]) return at.so_far;
+      go_on_free(at);
+      end_numbers(at);
+      if (at.so_far.size() < kLongestHaltReply) read_a_byte(at);
+    }
+    return std::nullopt;
+  }
+
+ private:
+  /// Where both are in numbers under a mask: whether these began at the same byte.
+  enum class Numbers : std::uint8_t {
+    kApart,
+    kTogether,  ///< They did.
+    kOneEnded,  ///< They did, and one has ended: the other goes on, as else both would end together.
+  };
+  struct Place {
+    std::size_t a = 0, b = 0;
+    Numbers numbers = Numbers::kApart;
+    std::string so_far{};
+    std::size_t begin = 0;  ///< Where the numbers that began together do so.
+  };
+
+  void add(Place place) {
+    if (seen_.insert({place.a, place.b, place.numbers}).second) open_.push_back(std::move(place));
+  }
+
+  void go_on_free(const Place& at) {
+    for (const std::size_t to : a_.free[at.a]) add({to, at.b, at.numbers, at.so_far, at.begin});
+    for (const std::size_t to : b_.free[at.b]) add({at.a, to, at.numbers, at.so_far, at.begin});
+  }
+
+  void end_numbers(const Place& at) {
+    if (at.numbers == Numbers::kOneEnded) return;
+    const bool together = at.numbers == Numbers::kTogether;
+    const auto &one = a_.exits[at.a], &other = b_.exits[at.b];
+    const Numbers then = together ? Numbers::kOneEnded : Numbers::kApart;
+    if (one) add({one->to, at.b, then, at.so_far, at.begin});
+    if (other) add({at.a, other->to, then, at.so_far, at.begin});
+    if (!together || !one || !other) return;
+    if (const auto number = common_bits(one->bits, other->bits))
+      add({one->to, other->to, Numbers::kApart, at.so_far.substr(0, at.begin) + std::to_string(*number), 0});
+  }
+
+  void read_a_byte(const Place& at) {
+    for (const Automaton::Arc& one : a_.arcs[at.a]) {
+      for (const Automaton::Arc& other : b_.arcs[at.b]) {
+        const Automaton::Bytes both = one.bytes & other.bytes;
+        unsigned char byte = 0x20;
+        while (byte < 0x7F && !both.test(byte)) ++byte;
+        if (byte == 0x7F) continue;
+        Place to{one.to, other.to, Numbers::kApart, at.so_far + static_cast<char>(byte), at.begin};
+        if (a_.in_bits[one.to] && b_.in_bits[other.to]) {
+          const bool begins = !a_.in_bits[at.a] && !b_.in_bits[at.b];
+          if (begins) to.begin = at.so_far.size();
+          if (begins || at.numbers == Numbers::kTogether) to.numbers = Numbers::kTogether;
+        }
+        add(std::move(to));
+      }
     }
   }
-  return std::nullopt;
+
+  const Automaton a_, b_;
+  std::deque<Place> open_;
+  std::set<std::tuple<std::size_t, std::size_t, Numbers>> seen_;
+};
+
+}  // namespace
+
+std::optional<std::string> common_reply(const ReplyPattern& one, const ReplyPattern& other) {
+  return CommonReply(one, other).find();
 }
 
 CommandForm::CommandForm(std::string text) : text_(std::move(text)) {
@@ -547,18 +816,35 @@ std::optional<FieldValues> CommandForm::match(
   return rest_of(rest_of, 0, command) ? std::optional(std::move(values)) : std::nullopt;
 }
 
-std::string StageDescription::stop_bytes(const std::array<std::string, 2>& names,
-                                         const std::string& address_of_stage) const {
+std::vector<std::string> StageDescription::stops(const std::array<std::string, 2>& names,
+                                                 const std::string& address_of_stage) const {
   const CommandForm form(halt);
   FieldValues texts{{"address", address_of_stage.empty() ? address : address_of_stage}};
-  if (!form.has("axis")) return form.with(texts, {});
-  std::string all;
+  if (!form.has("axis")) return {form.with(texts, {})};
+  std::vector<std::string> all;
   for (const std::string& name : names) {
     if (name.empty()) continue;
     texts["axis"] = name;
-    all += form.with(texts, {});
+    all.push_back(form.with(texts, {}));
   }
   return all;
+}
+
+StageDescription StageDescription::for_axis(const std::string& name) const {
+  const auto named = std::find(axis_names.begin(), axis_names.end(), name);
+  const std::size_t place =
+      named == axis_names.end() ? 1 : static_cast<std::size_t>(named - axis_names.begin()) + 1;
+  StageDescription one = *this;
+  for (auto* exchanges : {&one.travel, &one.scale})
+    for (DescribedExchange& each : *exchanges) each.expect = each.expect.at(place);
+  one.position.expect = one.position.expect.at(place);
+  one.moving = one.moving.at(place);
+  one.stopped = one.stopped.at(place);
+  if (one.speed) one.speed->expect = one.speed->expect.at(place);
+  for (DescribedFault& fault : one.status_faults) fault.expect = fault.expect.at(place);
+  for (auto* forms : {&one.is_referenced, &one.is_not_referenced})
+    for (ReplyForm& form : *forms) form = form.at(place);
+  return one;
 }
 
 bool StageDescription::accepts_model(std::string_view model) const {

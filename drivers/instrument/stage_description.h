@@ -27,6 +27,15 @@ class ReplyForm {
   bool empty() const { return text_.empty(); }
   /// Whether it has the field "angle".
   bool has(std::string_view field) const;
+  /// Whether it is a reply for all axes, in which an axis has a place: {before} and {after}.
+  bool has_places() const;
+  /// The form for the axis at this place, which begins with 1. Every use below requires it of a form with
+  /// places.
+  ReplyForm at(std::size_t place) const;
+  /// The form of the part for one axis, without the others.
+  ReplyForm item() const;
+  /// The reply for all axes with these parts, one for each place.
+  std::string reply_of(const std::vector<std::string>& items) const;
 
   /// The values of the fields if the whole reply, without its end, is of this form.
   std::optional<FieldValues> match(std::string_view reply) const;
@@ -35,7 +44,7 @@ class ReplyForm {
   /// A reply of this form. Fields without a value get an arbitrary one that fits.
   std::string reply(const FieldValues& values) const;
 
-  /// One part. For numbers, words and texts the field is their name, or empty.
+  /// One part. For a value that is used the field is its name; otherwise it is empty.
   struct Part {
     enum class Kind : std::uint8_t {
       kLiteral,  ///< This text.
@@ -46,12 +55,17 @@ class ReplyForm {
       kHex,      ///< `least` hexadecimal digits (0: one to eight) under `mask`.
       kWord,     ///< One character or more, no blank.
       kText,     ///< Anything, also nothing.
+      kOneOf,    ///< One of `choices`.
+      kBits,     ///< A whole decimal number, perhaps negative, under `mask`.
+      kBefore,   ///< The parts of `least` other axes, ended by `text`; empty: a character each.
+      kAfter,    ///< The parts of other axes, begun with `text`; also none.
     };
     enum class Bits : std::uint8_t { kFree, kNoneSet, kSomeSet };
 
     Kind kind = Kind::kLiteral;
-    std::string text{};  ///< For a literal.
+    std::string text{};  ///< For a literal, or between the parts of axes.
     std::string field{};
+    std::vector<std::string> choices{};
     std::uint32_t least = 0, most = 0;
     std::uint32_t mask = 0;
     Bits bits = Bits::kFree;
@@ -96,15 +110,17 @@ class CommandForm {
 };
 
 /// One exchange: a command or a question and its reply; or a command without a reply, and the question that
-/// reads back what it has set.
+/// reads back what it has set; or a command without a reply, after which the controller's last error is asked
+/// for.
 struct DescribedExchange {
   CommandForm send;
   ReplyForm expect;
-  CommandForm read_back;  ///< Empty: `expect` is the reply to `send`; otherwise to this question.
+  CommandForm read_back;  ///< `expect` is the reply to this question, and not to `send`.
+  bool silent = false;    ///< It has no reply: the error query acknowledges it.
 
   bool operator==(const DescribedExchange& other) const {
     return send.text() == other.send.text() && expect.text() == other.expect.text() &&
-           read_back.text() == other.read_back.text();
+           read_back.text() == other.read_back.text() && silent == other.silent;
   }
 };
 
@@ -139,6 +155,7 @@ struct StageDescription {
   // The axes.
   std::vector<std::string> axis_names;  ///< That a bench file may use; empty: any.
   double units_per_degree = 1.0;        ///< For angles on the line; the scale, if asked for, replaces it.
+  bool scale_in_bench = false;          ///< The bench file states the units of a degree.
   double speed_factor = 1.0;            ///< Speeds on the line are units per second times this.
   bool wraps = false;                   ///< It counts modulo 360 and is sent angles, or
   bool by_increments = false;           ///< increments below half a turn.
@@ -155,8 +172,13 @@ struct StageDescription {
   std::string halt;      ///< Bytes that stop all axes, with their end; may contain {axis} and {address}.
   ReplyForm halt_reply;  ///< To the halt; empty: none. It does not confirm standstill: the status does.
   std::string spoil;     ///< Makes a half-written command one that is refused.
+  /// Nothing spoils a half-written command: it is carried out, and the halt follows in the same write.
+  bool half_command_executed = false;
 
   std::vector<DescribedFault> errors;
+  /// Takes the last error from a controller whose commands have no reply; `expect` says that there is none.
+  std::optional<DescribedExchange> error_query;
+  std::vector<DescribedFault> queried_errors;  ///< Its other replies.
 
   // Only the emulator needs the rest.
   std::string
@@ -164,8 +186,11 @@ struct StageDescription {
   FieldValues emulator_values;  ///< For text fields: model, firmware.
   std::string emulator_unknown;  ///< Reply to a command that it does not know; empty: none.
 
-  /// The bytes that stop the axes of these names.
-  std::string stop_bytes(const std::array<std::string, 2>& names, const std::string& address_of_stage) const;
+  /// The description as it is for one axis: with its place in replies for all axes.
+  StageDescription for_axis(const std::string& name) const;
+  /// The commands that stop the axes of these names: one for all, or one for each.
+  std::vector<std::string> stops(const std::array<std::string, 2>& names,
+                                 const std::string& address_of_stage) const;
   bool accepts_model(std::string_view model) const;
 };
 

@@ -88,6 +88,15 @@ void keep_gap(const HaltRecipe& recipe, Clock& clock) {
   if (recipe.gap.count() > 0) clock.sleep_until(clock.now() + recipe.gap);
 }
 
+/// Sends the stop, which may be several commands.
+void write_stop(const HaltRecipe& recipe, ByteStream& port, Clock& clock) {
+  port.write(recipe.stop);
+  for (const std::string& further : recipe.further_stops) {
+    keep_gap(recipe, clock);
+    port.write(further);
+  }
+}
+
 /// Whether all answers to the question report standstill of the axes.
 bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, ByteStream& port, Clock& clock,
                Clock::Instant deadline) {
@@ -109,14 +118,15 @@ bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, B
 }  // namespace
 
 void stop_at_once(const HaltRecipe& recipe, ByteStream& port, Clock& clock) {
-  if (recipe.gap.count() == 0) return port.write(recipe.end_partial + recipe.stop);
+  if (recipe.gap.count() == 0 && recipe.further_stops.empty())
+    return port.write(recipe.end_partial + recipe.stop);
   if (!recipe.end_partial.empty()) {
     // The owner may have sent a command, or received a reply, just before.
     keep_gap(recipe, clock);
     port.write(recipe.end_partial);
   }
   keep_gap(recipe, clock);
-  port.write(recipe.stop);
+  write_stop(recipe, port, clock);
 }
 
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept {
@@ -127,7 +137,7 @@ bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::
   while (clock.now() < deadline) {
     try {
       keep_gap(recipe, clock);
-      port.write(recipe.stop);
+      write_stop(recipe, port, clock);
       port.discard_input();
       const bool standing = std::all_of(recipe.questions.begin(), recipe.questions.end(),
                                         [&](const HaltRecipe::Question& question) {

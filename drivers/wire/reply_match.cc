@@ -61,6 +61,26 @@ Places after_number(const ReplyPart& part, std::string_view reply, const Places&
   return to;
 }
 
+Places after_bits(const ReplyPart& part, std::string_view reply, const Places& from) {
+  constexpr std::size_t kMostDigits = 10;
+  Places to;
+  for (std::size_t begin = 0; begin < reply.size(); ++begin) {
+    if (!from[begin]) continue;
+    const bool is_negative = reply[begin] == '-';
+    const std::size_t first = begin + (is_negative || reply[begin] == '+' ? 1 : 0);
+    const std::int64_t most = is_negative ? std::int64_t{1} << 31 : (std::int64_t{1} << 32) - 1;
+    std::int64_t value = 0;
+    for (std::size_t at = first;
+         at < reply.size() && at < first + kMostDigits && reply[at] >= '0' && reply[at] <= '9'; ++at) {
+      value = 10 * value + (reply[at] - '0');
+      if (value > most) break;
+      const auto bits = static_cast<std::uint32_t>(is_negative ? -value : value);
+      if (((bits & part.most) != 0) == (part.least != 0)) to.set(at + 1);
+    }
+  }
+  return to;
+}
+
 /// Where the part may end that begins at one of the places.
 Places after(const ReplyPart& part, std::string_view reply, const Places& from) {
   switch (part.kind) {
@@ -71,6 +91,8 @@ Places after(const ReplyPart& part, std::string_view reply, const Places& from) 
                        [&](char byte) { return part.bytes.find(byte) != std::string::npos; });
     case ReplyPart::Kind::kNumber:
       return after_number(part, reply, from);
+    case ReplyPart::Kind::kBits:
+      return after_bits(part, reply, from);
     case ReplyPart::Kind::kText:
       return after_run(0, reply.size(), reply, from, [](char byte) { return byte != '\r' && byte != '\n'; });
   }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <map>
 #include <stdexcept>
 #include <string_view>
@@ -45,7 +46,9 @@ class DescribedFirmware::Controller final : public Firmware {
     texts_["address"] = {settings_.address.empty() ? description_->address : settings_.address};
     for (const std::string& name : settings_.axis_names)
       if (!name.empty()) texts_["axis"].push_back(name);
-    halt_ = pieces::trimmed(description_->stop_bytes(settings_.axis_names, settings_.address));
+    for (const std::string& stop : description_->stops(settings_.axis_names, settings_.address))
+      halt_ += stop;
+    halt_ = pieces::trimmed(std::string(halt_));
     power_on();
   }
 
@@ -101,14 +104,16 @@ class DescribedFirmware::Controller final : public Firmware {
     }
   }
 
+  void halt(std::size_t k) {
+    axes_[k].searches_until.reset();
+    if (bench_->moving(kStageAxes[k], now_)) bench_->halt(kStageAxes[k], now_);
+  }
   void halt_all() {
-    for (std::size_t k = 0; k < 2; ++k) {
-      axes_[k].searches_until.reset();
-      if (bench_->moving(kStageAxes[k], now_)) bench_->halt(kStageAxes[k], now_);
-    }
+    for (std::size_t k = 0; k < 2; ++k) halt(k);
   }
 
-  double units() const {
+  double units(std::size_t k) const {
+    if (description_->scale_in_bench) return settings_.units_per_degree[k].value_or(kUnitsOfADegree);
     return description_->scale.empty() ? description_->units_per_degree : kUnitsOfADegree;
   }
   double controller_deg(std::size_t k, Angle protocol) const {
@@ -141,24 +146,33 @@ class DescribedFirmware::Controller final : public Firmware {
       return;
     }
     advance();
-    if (command == halt_ || is_part_of_halt(command)) {
-      halt_all();
+    const auto halted = axis_of_halt(command);
+    if (command == halt_ || halted) {
+      halted ? halt(*halted) : halt_all();
       if (!description_->halt_reply.empty()) answer(description_->halt_reply.reply({}));
       return;
     }
     if (!carry_out(command)) {
       unserved_.note(command, "not in the description");
-      if (!description_->emulator_unknown.empty()) answer(description_->emulator_unknown);
+      if (description_->emulator_unknown.empty()) return;
+      if (description_->error_query) {
+        errors_.push_back(description_->emulator_unknown);
+      } else {
+        answer(description_->emulator_unknown);
+      }
     }
   }
 
   /// A stop of each axis is a command for each.
-  bool is_part_of_halt(const std::string& command) const {
-    for (const std::string& name : settings_.axis_names) {
-      const std::string one = description_->stop_bytes({name, ""}, settings_.address);
-      if (!name.empty() && command == pieces::trimmed(one)) return true;
+  std::optional<std::size_t> axis_of_halt(const std::string& command) const {
+    if (!CommandForm(description_->halt).has("axis")) return std::nullopt;
+    for (std::size_t k = 0; k < 2; ++k) {
+      const std::string& name = settings_.axis_names[k];
+      if (!name.empty() &&
+          command == pieces::trimmed(description_->stops({name, ""}, settings_.address).front()))
+        return k;
     }
-    return false;
+    return std::nullopt;
   }
 
   void answer(const std::string& reply) {
@@ -167,10 +181,28 @@ class DescribedFirmware::Controller final : public Firmware {
     traffic_ = due;
   }
 
-  void refuse(Fault fault) {
-    for (const DescribedFault& error : description_->errors)
-      if (error.fault == fault) return answer(error.expect.reply({}));
-    if (!description_->errors.empty()) answer(description_->errors.front().expect.reply({}));
+  /// The reply of a refusal; or that to the next question for the last error, if the command has no reply.
+  void refuse(const DescribedExchange& exchange, Fault fault) {
+    const std::vector<DescribedFault>& all =
+        exchange.silent ? description_->queried_errors : description_->errors;
+    if (all.empty()) return;
+    const auto same =
+        std::ranges::find_if(all, [&](const DescribedFault& error) { return error.fault == fault; });
+    const std::string reply = (same == all.end() ? all.front() : *same).expect.reply({});
+    if (!exchange.silent) return answer(reply);
+    errors_.push_back(reply);
+  }
+
+  /// The reply to a question, from that for an axis: a reply for all axes has one for each place.
+  template <class ReplyOfAxis>
+  std::string reply_to(const ReplyForm& form, std::size_t k, const ReplyOfAxis& reply_of) const {
+    if (!form.has_places()) return reply_of(k, false);
+    std::vector<std::string> items;
+    for (const std::string& name : description_->axis_names) {
+      const bool is_z = name == settings_.axis_names[1], is_x = name == settings_.axis_names[0];
+      items.push_back(is_x || is_z ? reply_of(is_z ? 1U : 0U, true) : form.item().reply({}));
+    }
+    return form.reply_of(items);
   }
 
   FieldValues identity() const {
@@ -198,42 +230,56 @@ class DescribedFirmware::Controller final : public Firmware {
   bool carry_out(const std::string& command) {
     for (const DescribedExchange& each : description_->identify)
       if (each.send.match(command, texts_)) return answer(each.expect.reply(identity())), true;
-    if (const auto values = description_->status.send.match(command, texts_))
-      return answer(state_of(axis_of(*values), command)), true;
-    if (const auto values = description_->position.send.match(command, texts_)) {
-      answer(description_->position.expect.reply(numbers_of(axis_of(*values))));
+    if (description_->error_query && description_->error_query->send.match(command, texts_)) {
+      answer(errors_.empty() ? description_->error_query->expect.reply({}) : errors_.front());
+      if (!errors_.empty()) errors_.pop_front();
+      return true;
+    }
+    if (const auto values = description_->status.send.match(command, texts_)) {
+      answer(reply_to(description_->stopped, axis_of(*values),
+                      [&](std::size_t k, bool is_item) { return state_of(k, command, is_item); }));
       return true;
     }
     if (description_->referenced) {
       if (const auto values = description_->referenced->send.match(command, texts_)) {
-        const bool yes = axes_[axis_of(*values)].referenced;
-        answer((yes ? description_->is_referenced : description_->is_not_referenced).front().reply({}));
+        answer(reply_to(
+            description_->is_referenced.front(), axis_of(*values),
+            [&](std::size_t k, bool is_item) { return part_of(reference_of(k), is_item).reply({}); }));
         return true;
       }
     }
     std::vector<DescribedExchange> questions = description_->travel;
+    questions.push_back(description_->position);
     questions.insert(questions.end(), description_->scale.begin(), description_->scale.end());
     if (description_->speed) questions.push_back(*description_->speed);
     for (const DescribedExchange& each : questions) {
       const auto values = each.send.match(command, texts_);
       if (!values) continue;
-      answer(each.expect.reply(numbers_of(axis_of(*values))));
+      answer(reply_to(each.expect, axis_of(*values), [&](std::size_t k, bool is_item) {
+        return part_of(each.expect, is_item).reply(numbers_of(k));
+      }));
       return true;
     }
     return change(command);
   }
 
+  static ReplyForm part_of(const ReplyForm& form, bool is_item) { return is_item ? form.item() : form; }
+
+  const ReplyForm& reference_of(std::size_t k) const {
+    return (axes_[k].referenced ? description_->is_referenced : description_->is_not_referenced).front();
+  }
+
   /// The reply to the question for the state. One question may be that for the reference as well: its reply
   /// says both.
-  std::string state_of(std::size_t k, const std::string& command) {
+  std::string state_of(std::size_t k, const std::string& command, bool is_item) {
     const bool moves = bench_->moving(kStageAxes[k], now_) || axes_[k].searches_until;
-    const ReplyForm& motion = moves ? description_->moving : description_->stopped;
+    const ReplyForm& whole = moves ? description_->moving : description_->stopped;
+    const ReplyForm motion = part_of(whole, is_item);
     std::string reply = motion.reply(numbers_of(k));
     if (!description_->referenced || !description_->referenced->send.match(command, texts_)) return reply;
-    const ReplyForm& reference =
-        (axes_[k].referenced ? description_->is_referenced : description_->is_not_referenced).front();
+    const ReplyForm reference = part_of(reference_of(k), is_item);
     if (reference.match(reply)) return reply;
-    const auto [known, is_new] = common_.try_emplace({&motion, &reference});
+    const auto [known, is_new] = common_.try_emplace({&whole, &reference_of(k)});
     if (is_new) known->second = common_reply(motion.pattern(), reference.pattern());
     return known->second.value_or(reply);
   }
@@ -247,12 +293,12 @@ class DescribedFirmware::Controller final : public Firmware {
     if (description_->wraps) angle -= 360.0 * std::floor(angle / 360.0);
     const double one = controller_deg(k, bench_->stage().axis(axis).travel_min);
     const double other = controller_deg(k, bench_->stage().axis(axis).travel_max);
-    const double speed = bench_->motion_limits(axis).speed_deg_per_s * units() * description_->speed_factor;
-    return {{"angle", number(angle * units())},
-            {"lower", number(std::min(one, other) * units())},
-            {"upper", number(std::max(one, other) * units())},
+    const double speed = bench_->motion_limits(axis).speed_deg_per_s * units(k) * description_->speed_factor;
+    return {{"angle", number(angle * units(k))},
+            {"lower", number(std::min(one, other) * units(k))},
+            {"upper", number(std::max(one, other) * units(k))},
             {"speed", number(speed)},
-            {"units_per_turn", number(360.0 * units())}};
+            {"units_per_turn", number(360.0 * units(k))}};
   }
 
   /// A command that changes something, or the question that reads it back.
@@ -277,7 +323,7 @@ class DescribedFirmware::Controller final : public Firmware {
         if (!values) continue;
         if (!(this->*carry_it_out)(axis_of(*values), each, *values)) return true;
         set_[each.send.text()] = *values;
-        if (each.read_back.empty()) answer(each.expect.reply({}));
+        if (each.read_back.empty() && !each.silent) answer(each.expect.reply({}));
         return true;
       }
     }
@@ -289,7 +335,7 @@ class DescribedFirmware::Controller final : public Firmware {
   }
 
   bool home(std::size_t k, const DescribedExchange& exchange, const FieldValues&) {
-    if (!is_ready(k)) return false;
+    if (!is_ready(k, exchange)) return false;
     if (exchange.send.text() != description_->home.back().send.text()) return true;
     axes_[k].referenced = false;
     axes_[k].searches_until = now_ + kShortestSearch;
@@ -300,34 +346,35 @@ class DescribedFirmware::Controller final : public Firmware {
   bool move(std::size_t k, const DescribedExchange& exchange, const FieldValues& values) {
     const bool has_angle = exchange.send.has("angle"), has_increment = exchange.send.has("increment");
     if (!has_angle && !has_increment) return true;
-    if (!is_ready(k)) return false;
-    if (!axes_[k].referenced) return refuse(Fault::kNotReady), false;
+    if (!is_ready(k, exchange)) return false;
+    if (!axes_[k].referenced) return refuse(exchange, Fault::kNotReady), false;
     const StageAxis axis = kStageAxes[k];
     const double here = controller_deg(k, bench_->commanded_angle(axis, now_));
-    const double wanted = field_number(values, has_angle ? "angle" : "increment") / units();
+    const double wanted = field_number(values, has_angle ? "angle" : "increment") / units(k);
     double target = has_increment ? here + wanted : wanted;
     if (has_angle && description_->wraps) target = here + std::remainder(wanted - here, 360.0);
     const Angle protocol = protocol_angle(k, target);
     const AxisTruth& truth = bench_->stage().axis(axis);
     if (!description_->wraps && !(protocol >= truth.travel_min && protocol <= truth.travel_max))
-      return refuse(Fault::kOutOfTravel), false;
+      return refuse(exchange, Fault::kOutOfTravel), false;
     bench_->move(axis, protocol, now_);
     return true;
   }
 
   bool set_speed(std::size_t k, const DescribedExchange& exchange, const FieldValues& values) {
     if (!exchange.send.has("speed")) return true;
-    const double speed = field_number(values, "speed") / units() / description_->speed_factor;
-    if (!(speed > 0.0)) return refuse(Fault::kRefused), false;
+    const double speed = field_number(values, "speed") / units(k) / description_->speed_factor;
+    if (!(speed > 0.0)) return refuse(exchange, Fault::kRefused), false;
     MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
     limits.speed_deg_per_s = speed;
     bench_->set_motion_limits(kStageAxes[k], limits);
     return true;
   }
 
-  bool is_ready(std::size_t k) {
-    if (bench_->fault_at(FaultKind::kRefusedMove, now_, kStageAxes[k])) return refuse(Fault::kRefused), false;
-    if (!axes_[k].prepared) return refuse(Fault::kNotReady), false;
+  bool is_ready(std::size_t k, const DescribedExchange& exchange) {
+    if (bench_->fault_at(FaultKind::kRefusedMove, now_, kStageAxes[k]))
+      return refuse(exchange, Fault::kRefused), false;
+    if (!axes_[k].prepared) return refuse(exchange, Fault::kNotReady), false;
     return true;
   }
 
@@ -342,6 +389,7 @@ class DescribedFirmware::Controller final : public Firmware {
   ReplyQueue replies_;
   std::optional<Clock::Instant> traffic_;
   std::array<Axis, 2> axes_;
+  std::deque<std::string> errors_;  ///< Replies to the question for the last error.
   /// Replies that are of two forms; none if there is none.
   std::map<std::pair<const ReplyForm*, const ReplyForm*>, std::optional<std::string>> common_;
   std::map<std::string, FieldValues> set_;  ///< By the command: what it set last.

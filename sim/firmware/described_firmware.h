@@ -2,6 +2,7 @@
 
 #include <array>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "drivers/instrument/stage_description.h"
@@ -13,6 +14,8 @@ namespace abcal::sim {
 struct DescribedSettings {
   std::array<std::string, 2> axis_names{"1", "2"};  ///< X and Z; empty: not on this line.
   std::string address;                              ///< Empty: that of the description.
+  /// Where the description leaves the units of a degree to the bench file.
+  std::array<std::optional<double>, 2> units_per_degree{};
   /// controller angle = zero + sign * protocol angle
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};

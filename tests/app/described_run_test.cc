@@ -5,7 +5,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
+#include <filesystem>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -13,17 +15,20 @@
 #include <vector>
 
 #include "app/bench_file/bench_config.h"
+#include "app/bench_file/stage_description_file.h"
 #include "app/measure/bench/make_bench.h"
 #include "app/measure/session/measuring_session.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/bench_text.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::ContainsRegex;
 using testing::HasSubstr;
 
 constexpr const char* kByDescription = "described\"\ndescription = \"zaber_ascii";
@@ -60,7 +65,57 @@ TEST(DescribedRunTest, GivesTheSameAnglesAndReadingsAsTheDriverInCpp) {
   }
   // The run keeps the description, so that it can be resumed and read without its file.
   EXPECT_THAT(described.header.bench_toml, HasSubstr("get limit.cycle.dist"));
+  const auto stage = std::ranges::find(described.header.instruments, "stage", &InstrumentIdentity::role);
+  ASSERT_NE(stage, described.header.instruments.end());
+  EXPECT_THAT(stage->details, ContainsRegex("; description zaber_ascii, SHA-256 [0-9a-f]{64}$"));
 }
+
+/// Controllers that are made up, each described from its manual, the comment at the head of its file; and the
+/// shipped descriptions.
+std::vector<std::string> made_up_and_shipped() {
+  std::vector<std::string> all;
+  for (const auto& file :
+       std::filesystem::directory_iterator(test::source_folder() / "tests/drivers/described/made_up"))
+    all.push_back(file.path().string());
+  for (const ShippedDescription& shipped : shipped_descriptions()) all.emplace_back(shipped.name);
+  return all;
+}
+
+class EveryDescriptionTest : public testing::TestWithParam<std::string> {};
+
+TEST_P(EveryDescriptionTest, MeasuresAWholePlanOnItsEmulator) {
+  StageConfig stage;
+  stage.description = GetParam();
+  const StageDescription description = stage_description_of(stage);
+  std::string axes;
+  for (std::size_t k = 0; k < 2; ++k) {
+    axes +=
+        (k == 0 ? "[stage.x]\naxis = \"" : "[stage.z]\naxis = \"") + description.axis_names.at(k) + "\"\n";
+    if (description.scale_in_bench)
+      axes += k == 0 ? "units_per_degree = 2222.2222\n" : "units_per_degree = 2500\n";
+    if (description.wraps) axes += "travel_min_deg = -185\ntravel_max_deg = 370\n";
+  }
+  const test::TemporaryFolder folder;
+  const std::string path = (folder.path() / "described.run").string();
+  MeasuringSession session({});
+  session.start({.bench = parse_bench("[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"described\"\n"
+                                      "port = \"simulated\"\ndescription = \"" +
+                                          GetParam() + "\"\n" + axes +
+                                          "[accelerometer]\ndriver = \"simulated\"\n" + quick_calibration(),
+                                      "bench"),
+                 .run_file = path});
+  const StoredRun run = RunFile::load(path);
+  EXPECT_EQ(run.state, RunState::kComplete);
+  ASSERT_FALSE(run.record.dwells.empty());
+  EXPECT_EQ(run.record.dwells.size(), run.header.plan.size());
+  for (const DwellRecord& dwell : run.record.dwells) {
+    EXPECT_NEAR(dwell.encoder_x->deg(), dwell.commanded_x.deg(), 0.01);
+    EXPECT_NEAR(dwell.encoder_z->deg(), dwell.commanded_z.deg(), 0.01);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Of, EveryDescriptionTest, testing::ValuesIn(made_up_and_shipped()),
+                         [](const auto& one) { return std::filesystem::path(one.param).stem().string(); });
 
 /// Both axes under way, then something happens; what is left is compared.
 class BothDriversTest : public testing::Test {

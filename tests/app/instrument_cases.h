@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "drivers/registry.h"
+#include "tests/app/stage_variants.h"
 
 namespace abcal {
 
@@ -43,6 +44,18 @@ inline const std::vector<StageCase>& stages() {
     cases.push_back({"two_controllers",
                      "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
                      "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"});
+    return cases;
+  }();
+  return all;
+}
+
+/// Every shipped description of a stage, on the emulator that is made of it.
+inline const std::vector<StageCase>& described_stages() {
+  static const std::vector<StageCase> all = [] {
+    std::vector<StageCase> cases;
+    for (const StageVariant& variant : stage_variants())
+      if (!variant.description.empty())
+        cases.push_back({variant.name, "[stage]\nport = \"PORT\"\n" + variant.section()});
     return cases;
   }();
   return all;

@@ -1,7 +1,6 @@
 // The contract of stages and accelerometers on the simulated instruments without bytes, and on each driver of
 // the registry over its simulated firmware, in simulated time.
 
-#include <array>
 #include <string>
 #include <vector>
 
@@ -33,13 +32,6 @@ Bench simulated_bench(const std::string& stage, const std::string& accelerometer
                                 "contract"));
 }
 
-std::string stage_section(const std::string& driver, const std::array<std::string, 2>& axes,
-                          const std::string& description = {}) {
-  const std::string described = description.empty() ? "" : "description = \"" + description + "\"\n";
-  return "driver = \"" + driver + "\"\n" + described + "[stage.x]\naxis = \"" + axes[0] +
-         "\"\n[stage.z]\naxis = \"" + axes[1] + "\"\n";
-}
-
 StageCase stage_case(const std::string& name, const std::string& section) {
   return {name, [section] {
             const auto bench =
@@ -63,9 +55,7 @@ AccelerometerCase accelerometer_case(const std::string& driver, const std::strin
 
 std::vector<StageCase> stage_cases() {
   std::vector<StageCase> cases{stage_case("simulated", "driver = \"simulated\"\n")};
-  for (const StageVariant& stage : stage_variants())
-    cases.push_back(
-        stage_case(stage.name, stage_section(stage.driver->name, stage.axis_names, stage.description)));
+  for (const StageVariant& stage : stage_variants()) cases.push_back(stage_case(stage.name, stage.section()));
   return cases;
 }
 

@@ -35,6 +35,11 @@ INSTANTIATE_TEST_SUITE_P(All, InstrumentPairs,
                            return std::get<0>(pair.param).name + "_with_" + std::get<1>(pair.param).name;
                          });
 
+INSTANTIATE_TEST_SUITE_P(EachDescription, InstrumentPairs,
+                         testing::Combine(testing::ValuesIn(described_stages()),
+                                          testing::Values(accelerometers().front())),
+                         [](const auto& pair) { return std::get<0>(pair.param).name; });
+
 /// The same bench, with its circles swept at 60 degrees/s up and 20 down.
 std::string at_constant_rate(std::string bench) {
   bench = replaced(bench, "steps = 12\nstep_deg = 30.0\nsettle_s = 0.05\n",

@@ -445,6 +445,7 @@ TEST_F(ProgramTest, ListsDriversAndPorts) {
   const Json json = Json::parse(result.out);
   EXPECT_TRUE(json["ports"].is_array());
   EXPECT_GE(json["stage_drivers"].size(), 1U);
+  EXPECT_THAT(json["stage_descriptions"].dump(), HasSubstr("\"owis_ps90\""));
 }
 
 }  // namespace

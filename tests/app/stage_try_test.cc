@@ -13,6 +13,8 @@
 #include <string_view>
 #include <vector>
 
+#include "app/bench_file/bench_config.h"
+#include "app/bench_file/stage_description_file.h"
 #include "app/system/exit_code.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/emulator_control.h"
@@ -93,6 +95,54 @@ TEST_F(StageTryTest, ADryRunIsMeasuredAndNeedsItsFileNoMore) {
   EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
   EXPECT_EQ(abcal({"analyse", "a.run"}).exit_code, 0);
 }
+
+/// Controllers that are made up, each described from its manual, the comment at the head of its file; and the
+/// shipped ones.
+class EveryDescription : public ProgramTest, public testing::WithParamInterface<std::string> {};
+
+std::vector<std::string> made_up_and_shipped() {
+  std::vector<std::string> all;
+  for (const auto& file :
+       std::filesystem::directory_iterator(test::source_folder() / "tests/drivers/described/made_up"))
+    all.push_back(file.path().string());
+  for (const ShippedDescription& shipped : shipped_descriptions()) all.emplace_back(shipped.name);
+  return all;
+}
+
+TEST_P(EveryDescription, IsTriedAndCalibratesOnItsEmulator) {
+  StageConfig stage;
+  stage.description = GetParam();
+  const StageDescription description = stage_description_of(stage);
+  std::vector<std::string> command{"stage", "try", GetParam()};
+  if (description.scale_in_bench) {
+    const ProgramResult without = abcal(command);
+    EXPECT_EQ(without.exit_code, kExitUsage);
+    EXPECT_THAT(without.err, HasSubstr("--units-per-degree"));
+    command.insert(command.end(), {"--units-per-degree", "222.2222,250"});
+  }
+  const ProgramResult tried = abcal(command);
+  EXPECT_EQ(tried.exit_code, 0) << tried.err;
+  EXPECT_THAT(test::unwrapped(tried.out), HasSubstr("agrees with its own emulator"));
+  std::string bench = "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"described\"\nport = \"simulated\"\n" +
+                      std::string("description = \"") + GetParam() + "\"\n";
+  for (std::size_t k = 0; k < 2; ++k) {
+    bench +=
+        (k == 0 ? "[stage.x]\naxis = \"" : "[stage.z]\naxis = \"") + description.axis_names.at(k) + "\"\n";
+    if (description.scale_in_bench)
+      bench += k == 0 ? "units_per_degree = 222.2222\n" : "units_per_degree = 250\n";
+    if (description.wraps) bench += "travel_min_deg = -185\ntravel_max_deg = 370\n";
+  }
+  test::write_file(folder / "bench.toml", bench + "[accelerometer]\ndriver = \"simulated\"\n" +
+                                              "[protocol]\nsettle_s = 0.5\nsteps = 12\n");
+  const ProgramResult run = abcal({"run", "bench.toml", "-o", "a.run"});
+  ASSERT_EQ(run.exit_code, 0) << run.err << run.out;
+  const ProgramResult truth = abcal({"analyse", "a.run", "--truth", "bench.toml"});
+  EXPECT_EQ(truth.exit_code, 0) << truth.out << truth.err;
+  EXPECT_THAT(truth.out, HasSubstr("agrees"));
+}
+
+INSTANTIATE_TEST_SUITE_P(Of, EveryDescription, testing::ValuesIn(made_up_and_shipped()),
+                         [](const auto& one) { return std::filesystem::path(one.param).stem().string(); });
 
 /// The emulator of the example on a pseudo-terminal, and a person at a terminal. In real time.
 class StageTrialTest : public StageTryTest {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -18,11 +19,13 @@ struct StageVariant {
   std::string name;  ///< "pi_gcs", "pi_gcs_chain"
   const StageDriver* driver;
   std::array<std::string, 2> axis_names = StageSettings{}.axis_names;
-  std::string description{};  ///< The name of a shipped one; empty: no described stage.
+  std::string description{};                 ///< The name of a shipped one; empty: no described stage.
+  std::optional<double> units_per_degree{};  ///< Where the description leaves them to the bench file.
 
   StageSettings settings() const {
     StageSettings settings;
     settings.axis_names = axis_names;
+    settings.units_per_degree = {units_per_degree, units_per_degree};
     if (!description.empty())
       settings.description = std::make_shared<const StageDescription>(stage_description_of(config().stage));
     return settings;
@@ -32,8 +35,19 @@ struct StageVariant {
     config.stage.driver = driver->name;
     config.stage.x.axis = axis_names[0];
     config.stage.z.axis = axis_names[1];
+    config.stage.x.units_per_degree = config.stage.z.units_per_degree = units_per_degree;
     config.stage.description = description;
     return config;
+  }
+  /// The lines of [stage] and of its axes in a bench file, but for the port.
+  std::string section() const {
+    std::string lines = "driver = \"" + driver->name + "\"\n";
+    if (!description.empty()) lines += "description = \"" + description + "\"\n";
+    for (std::size_t k = 0; k < 2; ++k) {
+      lines += std::string(k == 0 ? "[stage.x]" : "[stage.z]") + "\naxis = \"" + axis_names[k] + "\"\n";
+      if (units_per_degree) lines += "units_per_degree = " + std::to_string(*units_per_degree) + "\n";
+    }
+    return lines;
   }
   std::unique_ptr<RotationStage> make(std::vector<std::unique_ptr<wire::ByteStream>> streams,
                                       Clock& clock) const {
@@ -53,6 +67,7 @@ inline const std::vector<StageVariant>& stage_variants() {
       StageVariant variant{"described_" + std::string(shipped.name), &described_stage_drivers().front()};
       variant.description = shipped.name;
       const StageDescription description = stage_description_of(variant.config().stage);
+      if (description.scale_in_bench) variant.units_per_degree = 1000.0;
       if (description.axis_names.size() >= 2)
         variant.axis_names = {description.axis_names[0], description.axis_names[1]};
       variants.push_back(std::move(variant));

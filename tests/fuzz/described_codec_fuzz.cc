@@ -12,15 +12,22 @@
 
 namespace {
 
-const std::array<abcal::ReplyForm, 8>& forms() {
-  static const std::array<abcal::ReplyForm, 8> all{abcal::ReplyForm("+ {model} sn={serial} fw={firmware}"),
-                                                   abcal::ReplyForm("+ {hex4 some 0102}"),
-                                                   abcal::ReplyForm("+ {hex none 0010}"),
-                                                   abcal::ReplyForm("- {digits2} {text}"),
-                                                   abcal::ReplyForm("@{digits2} {1..9} OK {word} F{word} 0"),
-                                                   abcal::ReplyForm("{0..39},{digits}"),
-                                                   abcal::ReplyForm("! {text}"),
-                                                   abcal::ReplyForm("{{{word}}}")};
+const std::array<abcal::ReplyForm, 14>& forms() {
+  static const std::array<abcal::ReplyForm, 14> all{
+      abcal::ReplyForm("+ {model} sn={serial} fw={firmware}"),
+      abcal::ReplyForm("+ {hex4 some 0102}"),
+      abcal::ReplyForm("+ {hex none 0010}"),
+      abcal::ReplyForm("- {digits2} {text}"),
+      abcal::ReplyForm("@{digits2} {1..9} OK {word} F{word} 0"),
+      abcal::ReplyForm("{0..39},{digits}"),
+      abcal::ReplyForm("! {text}"),
+      abcal::ReplyForm("{{{word}}}"),
+      abcal::ReplyForm("{0..39}TS{hex4}{one of 28 33 3C}"),
+      abcal::ReplyForm("{decimal some bits 0 3 31}"),
+      abcal::ReplyForm("+ {decimal none bits 1} {serial:digits}"),
+      abcal::ReplyForm("{before}{one of T V}{after}").at(2),
+      abcal::ReplyForm("{before ,}{one of 0 1}{after ,}").at(3),
+      abcal::ReplyForm("{before blank}{digits}{after blank}").at(2)};
   return all;
 }
 

@@ -21,6 +21,12 @@ std::string changed_replies(std::mt19937& random) {
                                        "! alert",
                                        "GO O 12.5",
                                        "39,007",
+                                       "12TS000028",
+                                       "-2147483640",
+                                       "RTVR",
+                                       "0, 1,1",
+                                       "1 2  3",
+                                       "+ -3 0012",
                                        "{word}"};
   std::string bytes;
   for (std::size_t lines = 1 + random() % 4; lines > 0; --lines)

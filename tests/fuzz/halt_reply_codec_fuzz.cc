@@ -50,6 +50,16 @@ bool is_number(std::string_view piece, std::uint32_t least, std::uint32_t most) 
   return std::to_string(value) == piece && value >= least && value <= most;
 }
 
+bool is_bits(std::string_view piece, std::uint32_t mask, bool some) {
+  const std::size_t sign = !piece.empty() && (piece[0] == '-' || piece[0] == '+') ? 1 : 0;
+  if (piece.size() == sign || piece.size() > sign + 10) return false;
+  for (const char c : piece.substr(sign))
+    if (c < '0' || c > '9') return false;
+  const long long value = std::stoll(std::string(piece));
+  if (value < -2147483648LL || value > 4294967295LL) return false;
+  return ((static_cast<std::uint32_t>(value) & mask) != 0) == some;
+}
+
 bool is_part(const ReplyPart& part, std::string_view piece) {
   switch (part.kind) {
     case ReplyPart::Kind::kBytes: {
@@ -65,6 +75,8 @@ bool is_part(const ReplyPart& part, std::string_view piece) {
              piece.find_first_not_of(part.bytes) == std::string_view::npos;
     case ReplyPart::Kind::kNumber:
       return is_number(piece, part.least, part.most);
+    case ReplyPart::Kind::kBits:
+      return is_bits(piece, part.most, part.least != 0);
     case ReplyPart::Kind::kText:
       return piece.find_first_of("\r\n") == std::string_view::npos;
   }
@@ -227,11 +239,16 @@ class Input {
 ReplyPart part_from(Input& input) {
   ReplyPart part;
   const std::uint8_t choice = input.byte();
-  part.kind = static_cast<ReplyPart::Kind>(choice % 4);
+  part.kind = static_cast<ReplyPart::Kind>(choice % 5);
   if (part.kind == ReplyPart::Kind::kText) return part;
   if (part.kind == ReplyPart::Kind::kNumber) {
     part.least = input.byte();
     part.most = part.least + input.byte() * (choice >= 128 ? 10'000'000U : 1U);
+    return part;
+  }
+  if (part.kind == ReplyPart::Kind::kBits) {
+    part.least = choice / 128;
+    for (int bytes = 0; bytes < 4; ++bytes) part.most = part.most << 8U | input.byte();
     return part;
   }
   part.bytes = input.take(choice / 4 % 4);

@@ -103,6 +103,7 @@ StageSettings stage_settings(const BenchConfig& config, const InstrumentPort& po
     settings.description = std::make_shared<const StageDescription>(stage_description_of(config.stage));
   settings.axis_names = port.axis_names(config.stage);
   settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
+  settings.units_per_degree = {config.stage.x.units_per_degree, config.stage.z.units_per_degree};
   settings.address = port.address;
   settings.unit = config.stage.unit;
   return settings;
@@ -303,8 +304,26 @@ class Opener {
           " has not been tried on a stage in its present form; required: abcal stage try " +
           description.source + " --port PORT, with a person at the stage");
     auto tried = std::make_shared<StageDescription>(description);
-    for (const StageTrial& trial : trials) tried->tried_with.push_back(trial.stage());
+    for (const StageTrial& trial : trials)
+      if (has_same_scale(trial, settings)) tried->tried_with.push_back(trial.stage());
+    if (tried->tried_with.empty())
+      throw std::invalid_argument(
+          "the description " + description.source +
+          " has been tried with other units_per_degree; required: those of the trial, or abcal stage try " +
+          description.source + " --port PORT --units-per-degree \"X,Z\", with a person at the stage");
     settings.description = std::move(tried);
+  }
+
+  /// Whether a trial turned the axes with the scale of the bench file, where the description has none.
+  static bool has_same_scale(const StageTrial& trial, const StageSettings& settings) {
+    for (const StageAxis axis : kStageAxes) {
+      const auto& units = settings.units_per_degree[index(axis)];
+      const std::string& name = settings.axis_names[index(axis)];
+      if (name.empty() || !units) continue;
+      const auto tried = trial.units_per_degree.find(name);
+      if (tried == trial.units_per_degree.end() || tried->second != *units) return false;
+    }
+    return true;
   }
 
   struct Opened {

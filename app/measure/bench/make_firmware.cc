@@ -396,6 +396,7 @@ std::shared_ptr<sim::Firmware> described_firmware(const BenchConfig& config, con
   }
   auto settings = stage_firmware_settings<sim::DescribedSettings>(config.stage, port);
   settings.address = port.address;
+  settings.units_per_degree = {config.stage.x.units_per_degree, config.stage.z.units_per_degree};
   return std::make_shared<sim::DescribedFirmware>(std::move(world), std::move(description), settings);
 }
 

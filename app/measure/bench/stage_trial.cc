@@ -31,8 +31,8 @@ std::vector<StageTrial> find_stage_trials(const std::string& sha256) {
     try {
       const auto json = nlohmann::json::parse(read_file(entry.path()));
       if (json.at("schema") != kTrialSchema || json.at("sha256") != sha256) continue;
-      trials.push_back(
-          {sha256, json.at("maker"), json.at("model"), json.at("serial_number"), json.at("utc")});
+      trials.push_back({sha256, json.at("maker"), json.at("model"), json.at("serial_number"), json.at("utc"),
+                        json.value("units_per_degree", std::map<std::string, double>{})});
     } catch (const nlohmann::json::exception&) {  // As if there were none: it is tried again.
     }
   }
@@ -49,7 +49,8 @@ void keep_stage_trial(const StageTrial& trial) {
                                     {"maker", trial.maker},
                                     {"model", trial.model},
                                     {"serial_number", trial.serial_number},
-                                    {"utc", trial.utc}};
+                                    {"utc", trial.utc},
+                                    {"units_per_degree", trial.units_per_degree}};
   OutputFile(folder / (sha256_of(trial.stage()).substr(0, 16) + ".json")).write(json.dump(2) + "\n");
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -10,6 +11,8 @@ struct StageTrial {
   std::string sha256;
   std::string maker, model, serial_number;
   std::string utc{};
+  /// By the name of an axis, where the description leaves the scale to the bench file.
+  std::map<std::string, double> units_per_degree{};
 
   /// In words: "RT RT-2 00412".
   std::string stage() const { return maker + " " + model + " " + serial_number; }

@@ -28,8 +28,8 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(OwnerBeat, may_move, chamber, awaits)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(ReplyPart, kind, bytes, mask, least, most)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(ReplyPattern, alternatives)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(HaltRecipe::Question, bytes, reply, standing, listen)
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(HaltRecipe, driver, axes, end_partial, stop, questions, reply_time, gap,
-                                   reply_end, binary, chamber)
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(HaltRecipe, driver, axes, end_partial, stop, questions, reply_time,
+                                   further_stops, gap, reply_end, binary, chamber)
 
 namespace {
 

@@ -22,6 +22,7 @@
 #include "app/system/version.h"
 #include "drivers/instrument/driver_catalogue.h"
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/sha256.h"
 
 namespace abcal {
 namespace {
@@ -316,6 +317,9 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("operator.name", config.operator_name);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage)};
+  if (config.stage.is_described())
+    header.instruments.front().details += fmt::format(
+        "; description {}, SHA-256 {}", config.stage.description, sha256_of(config.stage.description_text));
   note_stated_serial_number(config.stage.serial_number, header.instruments.front(), header);
   header.g_loc = config.g_loc;
   add_items(config, identities, header);

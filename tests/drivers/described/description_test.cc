@@ -94,6 +94,31 @@ INSTANTIATE_TEST_SUITE_P(
         BadDescription{"NoAxis", "PO {axis}", "PO", "without {axis}", "names with one name"},
         BadDescription{"NoSource", "sources = [\"RT-2 two-axis table, remote control (made up)\"]", "",
                        "sources", "where the facts are from"},
+        BadDescription{"MaskInPlaceOfBits", "+ {hex4 some 0002}", "+ {decimal some 2}", "{decimal some 2}",
+                       "{decimal some bits 0 3}"},
+        BadDescription{"SilentSpeed", "send = \"VE {axis} {speed:.3f}\"\nexpect = \"+\"",
+                       "send = \"VE {axis} {speed:.3f}\"\nsilent = true", "true in [[set_speed]]",
+                       "read_back"},
+        BadDescription{"SilentAndAcknowledged", "send = \"GO {axis} {angle:.4f}\"",
+                       "send = \"GO {axis} {angle:.4f}\"\nsilent = true", "true, and expect or read_back",
+                       "one of"},
+        BadDescription{"SilentWithoutAQuestion", "send = \"GO {axis} {angle:.4f}\"\nexpect = \"+\"",
+                       "send = \"GO {axis} {angle:.4f}\"\nsilent = true", "commands with silent = true",
+                       "[error_query]"},
+        BadDescription{"ErrorThatIsNone", "[halt]",
+                       "[error_query]\nsend = \"ER\"\nnone = \"0\"\n[[error_query.fault]]\nexpect = "
+                       "\"{digits}\"\nfault = \"refused\"\n[halt]",
+                       "can be `none` too", "no reply fits both"},
+        BadDescription{"HalfCommandInAGap", "spoil = \" ?\"", "half_command = \"executed\"",
+                       "with [transport] gap_s", "spoil"},
+        BadDescription{"HalfCommandAndSpoil", "spoil = \" ?\"", "spoil = \" ?\"\nhalf_command = \"executed\"",
+                       "\"executed\", and spoil", "half_command alone"},
+        BadDescription{"PlaceInAnAcknowledgement", "send = \"GO {axis} {angle:.4f}\"\nexpect = \"+\"",
+                       "send = \"GO {axis} {angle:.4f}\"\nexpect = \"{before ,}+{after ,}\"",
+                       "a reply for all axes", "[status]"},
+        BadDescription{"PlaceInMotionOnly", "moving = \"+ {hex4 some 0002}\"",
+                       "moving = \"{before}{hex1 some 2}{after}\"", "in one of moving and stopped",
+                       "in both"},
         BadDescription{"WrongSchema", "abcal.stage/1", "abcal.stage/9", "abcal.stage/9", "abcal.stage/1"}),
     [](const auto& one) { return std::string(one.param.name); });
 
@@ -103,6 +128,33 @@ TEST(StageDescriptionTest, AllProblemsAreReportedAtOnce) {
   text = replaced(text, "send = \"HA\"", "");
   EXPECT_THAT(problems_of(text),
               AllOf(HasSubstr("speeed"), HasSubstr("gap_ms"), HasSubstr("cannot be halted")));
+}
+
+TEST(StageDescriptionTest, AScaleIsStatedOnceAndAPlaceHasAName) {
+  std::string text = replaced(example(), "unit = \"deg\"", "unit = \"count\"\nunits_per_degree = 10");
+  text = replaced(text, "[halt]", "[scale]\nin_bench_file = true\n[halt]");
+  EXPECT_THAT(problems_of(text), AllOf(HasSubstr("10, and [scale]"), HasSubstr("one of both")));
+  text = replaced(example(), "names = [\"O\", \"I\"]", "names = [\"O\"]");
+  text = replaced(text, "+ {angle}", "{before ,}{angle}{after ,}");
+  EXPECT_THAT(problems_of(text),
+              AllOf(HasSubstr("without the names of the axes"), HasSubstr("in the order of its replies")));
+}
+
+TEST(StageDescriptionTest, ABenchStatesTheScaleThatItsDescriptionLeavesOpen) {
+  const auto words = [](const std::string& axis) -> std::string {
+    try {
+      const BenchConfig config = parse_bench(
+          "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"described\"\nport = \"simulated\"\n"
+          "description = \"owis_ps90\"\n[stage.x]\naxis = \"1\"\n" +
+              axis + "[stage.z]\naxis = \"2\"\n" + axis + "[accelerometer]\ndriver = \"simulated\"\n",
+          "bench");
+      return parse_bench(write_bench(config), "run") == config ? "same" : "other";
+    } catch (const BenchError& error) {
+      return error.what();
+    }
+  };
+  EXPECT_EQ(words("units_per_degree = 1234.5\n"), "same");
+  EXPECT_THAT(words(""), AllOf(HasSubstr("[stage.x] units_per_degree"), HasSubstr("motor, gear and steps")));
 }
 
 constexpr const char* kBench =

@@ -44,13 +44,89 @@ TEST(ReplyFormTest, BitsOfANumberAreSetOrNot) {
   EXPECT_FALSE(common_reply(some.pattern(), none.pattern()));
 }
 
+TEST(ReplyFormTest, AWordIsOneOfAList) {
+  const ReplyForm rest("{1..31}TS{hex4}{one of 32 33 3C}"), motion("{1..31}TS{hex4}{one of 1E 28}");
+  EXPECT_TRUE(rest.match("1TS00003C"));
+  EXPECT_FALSE(rest.match("1TS00001E"));
+  EXPECT_TRUE(motion.match("31TS002028"));
+  EXPECT_FALSE(motion.match("32TS000028"));
+  EXPECT_FALSE(common_reply(rest.pattern(), motion.pattern()));
+  EXPECT_EQ(rest.reply({}), "1TS000032");
+}
+
+TEST(ReplyFormTest, ADecimalNumberHasBits) {
+  const ReplyForm some("{decimal some bits 0 31}"), none("{decimal none bits 0 31}"), any("{decimal}");
+  for (const char* number : {"1", "-1", "+3", "-2147483648", "4294967295", "0000000007"}) {
+    EXPECT_TRUE(some.match(number)) << number;
+    EXPECT_FALSE(none.match(number)) << number;
+    EXPECT_TRUE(any.match(number)) << number;
+  }
+  for (const char* number : {"0", "2", "-0", "2147483646"}) {
+    EXPECT_FALSE(some.match(number)) << number;
+    EXPECT_TRUE(none.match(number)) << number;
+  }
+  for (const char* text :
+       {"", "-", "--1", "+-1", "1.0", "0x1", "4294967296", "-2147483649", "00000000001", " 1"}) {
+    EXPECT_FALSE(some.match(text)) << text;
+    EXPECT_FALSE(any.match(text)) << text;
+  }
+  // Bits of the same number tell two replies apart; those of two numbers do not.
+  EXPECT_FALSE(common_reply(some.pattern(), none.pattern()));
+  const auto both = common_reply(some.pattern(), ReplyForm("{decimal none bits 0}").pattern());
+  ASSERT_TRUE(both);
+  EXPECT_TRUE(some.match(*both)) << *both;
+  EXPECT_EQ(*both, "2147483648");
+  EXPECT_TRUE(common_reply(ReplyForm("{decimal some bits 0} {text}").pattern(),
+                           ReplyForm("{text} {decimal none bits 0}").pattern()));
+  EXPECT_FALSE(common_reply(ReplyForm("a {decimal some bits 3} {decimal}").pattern(),
+                            ReplyForm("a {decimal none bits 3} {decimal}").pattern()));
+}
+
+TEST(ReplyFormTest, AnAxisHasAPlaceInAReplyForAll) {
+  const ReplyForm letters("{before}{one of T V}{after}");
+  ASSERT_TRUE(letters.has_places());
+  EXPECT_TRUE(letters.at(1).match("TRR"));
+  EXPECT_FALSE(letters.at(2).match("TRR"));
+  EXPECT_TRUE(letters.at(3).match("RRV"));
+  EXPECT_FALSE(letters.at(4).match("RRV"));
+  const ReplyForm list("POS {before ,}{angle}{after ,}");
+  EXPECT_EQ(list.at(1).match("POS 1.5, -2,3 , 4")->at("angle"), "1.5");
+  EXPECT_EQ(list.at(2).match("POS 1.5, -2,3 , 4")->at("angle"), "-2");
+  EXPECT_EQ(list.at(3).match("POS 1.5, -2,3 , 4")->at("angle"), "3");
+  EXPECT_EQ(list.at(4).match("POS 1.5, -2,3 , 4")->at("angle"), "4");
+  EXPECT_FALSE(list.at(5).match("POS 1.5, -2,3 , 4"));
+  EXPECT_FALSE(list.at(3).match("POS 1.5,,3"));
+  const ReplyForm words("{before blank}{decimal some bits 0}{after blank}");
+  EXPECT_TRUE(words.at(2).match("0  1 0"));
+  EXPECT_FALSE(words.at(2).match("1 0 1"));
+  EXPECT_EQ(list.reply_of({"1", "2"}), "POS 1,2");
+  EXPECT_EQ(words.reply_of({words.item().reply({}), "0"}), "1 0");
+  for (const ReplyForm& form : {letters, list, words})
+    for (const std::size_t place : {1U, 2U, 3U})
+      for (const char* reply :
+           {"TRR", "RT", "V", "POS 1,2,3", "POS 1 ,2,  3", "POS ,2", "1 2 3", "2  3", "1 ", ""})
+        EXPECT_EQ(form.at(place).match(reply).has_value(), wire::matches(form.at(place).pattern(), reply))
+            << form.text() << " " << place << " " << reply;
+}
+
+TEST(ReplyFormTest, AnIdentityMayBeOfAKind) {
+  const ReplyForm form("{serial:digits6}");
+  EXPECT_EQ(form.match("001234")->at("serial"), "001234");
+  EXPECT_FALSE(form.match("1234"));
+  EXPECT_EQ(form.reply({{"serial", "EMULATED"}}), "000001") << "only what fits";
+  EXPECT_FALSE(common_reply(ReplyForm("Hydra {model}").pattern(), ReplyForm("{serial:digits}").pattern()));
+}
+
 TEST(ReplyFormTest, AGuardSeesTheSame) {
-  for (const char* text : {"+ {hex4 some 0102}", "+ {hex none 10}", "@{digits2} {1..9} OK {word} F{word} 0",
-                           "{0..39},{digits}", "- {text}", "a {{b}}"}) {
+  for (const char* text :
+       {"+ {hex4 some 0102}", "+ {hex none 10}", "{one of 39,1 40,1}", "+ {decimal some bits 2 8}",
+        "{decimal none bits 0}", "@{digits2} {1..9} OK {word} F{word} 0", "{0..39},{digits}", "- {text}",
+        "a {{b}}"}) {
     const ReplyForm form(text);
     EXPECT_TRUE(form.match(form.reply({}))) << form.reply({});
-    for (const char* reply : {"+ 0102", "+ 10", "+ 00", "@01 2 OK IDLE FS 0", "@01 0 OK IDLE FS 0", "39,1",
-                              "40,1", "039,1", "- anything  else", "-", "a {b}", "a  {b}", ""})
+    for (const char* reply :
+         {"+ 0102", "+ 10", "+ 00", "4", "-4", "+ -256", "@01 2 OK IDLE FS 0", "@01 0 OK IDLE FS 0", "39,1",
+          "40,1", "039,1", "- anything  else", "-", "a {b}", "a  {b}", ""})
       EXPECT_EQ(form.match(reply).has_value(), wire::matches(form.pattern(), reply))
           << text << " and " << reply;
   }
@@ -70,8 +146,29 @@ TEST(ReplyFormTest, AReplyThatFitsTwoFormsIsFound) {
 }
 
 TEST(ReplyFormTest, RefusesWhatCannotBeMeant) {
-  for (const char* text : {"{angel}", "{hex4 some}", "{hex4 some 0}", "{hex2 none 0102}", "{hex9}", "{9..1}",
-                           "{angle", "angle}", "{angle}{speed}", "{text}{word}", "{}"})
+  for (const char* text : {"{angel}",
+                           "{hex4 some}",
+                           "{hex4 some 0}",
+                           "{hex2 none 0102}",
+                           "{hex9}",
+                           "{9..1}",
+                           "{decimal some 3}",
+                           "{decimal some bits}",
+                           "{decimal none bits 32}",
+                           "{one of}",
+                           "{before ,}{angle}",
+                           "{angle}{after ,}",
+                           "{before ,}{angle}{after ;}",
+                           "{before .}1{after .}",
+                           "{before ,}{word}{after ,}",
+                           "{angle:digits}",
+                           "{serial:angle}",
+                           "{serial:}",
+                           "{angle",
+                           "angle}",
+                           "{angle}{speed}",
+                           "{text}{word}",
+                           "{}"})
     EXPECT_THROW(ReplyForm{text}, std::invalid_argument) << text;
   for (const char* text :
        {"GO {axis} {angle}", "GO {axis} {angle:4f}", "GO {axes}", "GO {position:.3f}", "{axis"})

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <fstream>
 #include <iterator>
 #include <memory>
@@ -199,6 +201,117 @@ TEST_F(DescribedStageTest, TheEmulatorOfTheDescriptionAnswersTheDriver) {
   EXPECT_TRUE(stage.halt());
   EXPECT_FALSE(world_->moving(StageAxis::kX, clock_.now()));
   EXPECT_TRUE(firmware->unserved().all().empty());
+}
+
+/// A stage of a shipped description with its emulator.
+struct ShippedStage {
+  explicit ShippedStage(const std::string& name, std::array<std::string, 2> axes = {"1", "2"}) {
+    std::vector<Problem> problems;
+    description = std::make_shared<const StageDescription>(
+        parse_stage_description(stage_description_text(name, problems), name, problems));
+    EXPECT_EQ(list_of(problems), "");
+    sim::DescribedSettings names;
+    names.axis_names = axes;
+    names.units_per_degree = {1000.0, 500.0};
+    firmware = std::make_shared<sim::DescribedFirmware>(world, description, names);
+    StageSettings settings;
+    settings.axis_names = axes;
+    settings.description = description;
+    settings.units_per_degree = names.units_per_degree;
+    stage = std::make_unique<DescribedStage>(port(), clock, settings);
+    stage->identify();
+    for (const StageAxis axis : kStageAxes) {
+      stage->home(axis);
+      wait(axis);
+    }
+  }
+  std::unique_ptr<sim::FirmwareStream> port() {
+    return std::make_unique<sim::FirmwareStream>(firmware, clock);
+  }
+  void wait(StageAxis axis) {
+    while (stage->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 10ms);
+  }
+
+  sim::SimClock clock;
+  std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
+  std::shared_ptr<const StageDescription> description;
+  std::shared_ptr<sim::DescribedFirmware> firmware;
+  std::unique_ptr<DescribedStage> stage;
+};
+
+TEST(SilentCommandTest, IsRefusedByTheErrorQueryAndOlderErrorsAreDropped) {
+  ShippedStage one("micos_hydra");
+  sim::WorldFault fault;
+  fault.kind = sim::FaultKind::kRefusedMove;
+  fault.axis = StageAxis::kX;
+  fault.at = one.clock.now();
+  one.world->inject(fault);
+  EXPECT_THAT(error_of([&] { one.stage->move_to(StageAxis::kX, Angle::degrees(90.0)); }, Fault::kRefused),
+              HasSubstr("\"1\" to \"90.0000 1 nm\""));
+  EXPECT_FALSE(one.world->moving(StageAxis::kX, one.clock.now()));
+  one.port()->write("nonsense\r\n1 nonsense\r\n");  // Two errors in the queue.
+  one.stage->move_to(StageAxis::kZ, Angle::degrees(30.0));
+  one.wait(StageAxis::kZ);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), 30.0, 1e-3);
+}
+
+TEST(SilentCommandTest, IsNotSentWhileAnErrorStays) {
+  ShippedStage one("micos_hydra");
+  for (int n = 0; n < 25; ++n) one.port()->write("nonsense\r\n");
+  EXPECT_THAT(error_of([&] { one.stage->move_to(StageAxis::kX, Angle::degrees(90.0)); }, Fault::kNotReady),
+              AllOf(HasSubstr("2000"), HasSubstr("was not sent")));
+  EXPECT_FALSE(one.world->moving(StageAxis::kX, one.clock.now()));
+}
+
+TEST(PlaceTest, EachAxisReadsItsOwnLetterInAReplyForAll) {
+  ShippedStage one("owis_ps90", {"7", "3"});
+  one.stage->move_to(StageAxis::kZ, Angle::degrees(60.0));
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kX), MotionState::kStopped);
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kZ), MotionState::kMoving);
+  one.wait(StageAxis::kZ);
+  one.stage->move_to(StageAxis::kX, Angle::degrees(60.0));
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kX), MotionState::kMoving);
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kZ), MotionState::kStopped);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), 60.0, 1e-3);
+}
+
+// Nothing spoils a command of these: it is carried out, and the halt behind it ends its motion.
+TEST(HalfCommandTest, IsHaltedInTheWriteThatEndsIt) {
+  for (const char* name : {"newport_smc100", "newport_conex_cc"}) {
+    ShippedStage one(name);
+    const std::vector<HaltRecipe> recipes = one.stage->halt_recipes();
+    ASSERT_EQ(recipes.size(), 1U);
+    EXPECT_EQ(recipes[0].end_partial, "\r\n");
+    const auto port = one.port();
+    port->write("1PA12");  // The owner died before "0.0000".
+    EXPECT_TRUE(wire::carry_out(recipes[0], *port, one.clock, one.clock.now() + 5s));
+    EXPECT_FALSE(one.world->moving(StageAxis::kX, one.clock.now()));
+    EXPECT_LT(std::abs(one.world->commanded_angle(StageAxis::kX, one.clock.now()).deg()), 0.05);
+    // Without its halt the same line turns the axis.
+    port->write("1PA12\r\n");
+    EXPECT_TRUE(one.world->moving(StageAxis::kX, one.clock.now()));
+  }
+}
+
+// Without the gap the second of two stops would be lost.
+TEST(GapTest, IsKeptBetweenTheStopsOfTwoAxes) {
+  for (const bool by_recipe : {false, true}) {
+    ShippedStage one("owis_ps90");
+    for (const StageAxis axis : kStageAxes) one.stage->move_to(axis, Angle::degrees(150.0));
+    one.clock.sleep_until(one.clock.now() + 200ms);
+    const HaltRecipe recipe = one.stage->halt_recipes().at(0);
+    EXPECT_EQ(recipe.stop, "STOP1\r");
+    EXPECT_EQ(recipe.further_stops, std::vector<std::string>{"STOP2\r"});
+    if (by_recipe) {
+      const auto port = one.port();
+      EXPECT_TRUE(wire::carry_out(recipe, *port, one.clock, one.clock.now() + 5s));
+    } else {
+      EXPECT_TRUE(one.stage->halt());
+    }
+    for (const StageAxis axis : kStageAxes) EXPECT_FALSE(one.world->moving(axis, one.clock.now()));
+    for (const sim::UnservedCommand& each : one.firmware->unserved().all())
+      EXPECT_THAT(each.reaction, testing::Not(HasSubstr("lost"))) << each.command;
+  }
 }
 
 }  // namespace

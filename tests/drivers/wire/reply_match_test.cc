@@ -28,6 +28,23 @@ TEST(ReplyMatchTest, AnEmptyReplyFitsPartsThatMayBeEmpty) {
   EXPECT_FALSE(occurs_in({pattern::any_bytes(1)}, ""));
 }
 
+TEST(ReplyMatchTest, ADecimalNumberHasBits) {
+  const ReplyPattern some{pattern::some_bit_of(0x80000008U)}, none{pattern::no_bit_of(0x80000008U)};
+  for (const char* number : {"8", "-1", "+12", "-2147483648", "4294967295", "0000000009"}) {
+    EXPECT_TRUE(matches(some, number)) << number;
+    EXPECT_FALSE(matches(none, number)) << number;
+  }
+  for (const char* number : {"0", "-0", "7", "2147483623"}) {
+    EXPECT_FALSE(matches(some, number)) << number;
+    EXPECT_TRUE(matches(none, number)) << number;
+  }
+  for (const char* other : {"", "-", "+", "4294967296", "-2147483649", "00000000008", "8.0", " 8", "8 "}) {
+    EXPECT_FALSE(matches(some, other)) << other;
+    EXPECT_FALSE(matches(none, other)) << other;
+  }
+  EXPECT_TRUE(matches({pattern::literal("st="), pattern::some_bit_of(1), pattern::literal("0")}, "st=10"));
+}
+
 TEST(ReplyMatchTest, ALiteralIsTheWholeReply) {
   const ReplyPattern zero{pattern::literal("0,")};
   EXPECT_TRUE(matches(zero, "0,"));
