@@ -86,7 +86,8 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
 
 /// The readings of one run.
 struct RunReadings {
-  std::string suffix;  ///< Of its files: "-2" of the second run of a measurement; empty: the only one.
+  std::string
+      suffix;  ///< Ends the names of its files: "-2", the second run of a measurement; empty: the only run.
   std::vector<ReportData> items;
 };
 

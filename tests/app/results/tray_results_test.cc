@@ -172,7 +172,7 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   EXPECT_THAT(exported.out, HasSubstr("s2"));
 }
 
-// The joint result of an item is that of the common fit: its uncertainties, and trials of the whole evaluation.
+// The joint result of an item is that of the common fit: its uncertainties, and trials of it all.
 TEST_F(TrayResultsTest, UncertaintyOfACommonFitIsThatOfItsTrials) {
   const auto json_of = [&](std::vector<std::string> arguments) {
     arguments.insert(arguments.end(), {"--estimator", "joint", "--trials", "40", "--json"});

@@ -19,8 +19,8 @@
 namespace abcal {
 namespace {
 
-/// Of the ratio of a standard deviation over n trials to its expectation: 3.3 times 1 / sqrt(2 n), and 5 %
-/// for shapes that are not normal and solutions that are not linear.
+/// Tolerance for the ratio of a standard deviation over n trials to its expectation: 3.3 times 1 / sqrt(2 n),
+/// and 5 % for shapes that are not normal and solutions that are not linear.
 double tolerance(int trials) {
   return 3.3 / std::sqrt(2.0 * trials) + 0.05;
 }
@@ -106,7 +106,7 @@ TEST(MeasurementTrialsTest, TrialsDependOnSeedAndNumberAlone) {
   EXPECT_EQ(one.combined.mean, three.combined.mean);
 }
 
-// What a bench does not do gives no error: sizes of zero, readings of almost no noise.
+// A bench that does nothing wrong gives no error: sizes of zero, readings of almost no noise.
 TEST(MeasurementTrialsTest, WithoutErrorsATrialGivesItsTruth) {
   MadeRuns made(2, 1);
   EffectSizes none;
