@@ -8,6 +8,7 @@
 #include <cmath>
 #include <deque>
 #include <limits>
+#include <map>
 #include <set>
 #include <span>
 #include <stdexcept>
@@ -343,8 +344,13 @@ std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
     case Part::Kind::kText:
       return {{pattern::text()}};
     case Part::Kind::kOneOf: {
+      // Words that differ in their last character are one: a guard receives its patterns in a short packet.
+      std::map<std::string, std::string> last_characters;
+      for (const std::string& choice : part.choices)
+        last_characters[choice.substr(0, choice.size() - 1)] += choice.back();
       std::vector<std::vector<ReplyPart>> all;
-      for (const std::string& choice : part.choices) all.push_back({pattern::literal(choice)});
+      for (const auto& [begin, ends] : last_characters)
+        all.push_back({pattern::literal(begin), pattern::run(ends, 1, 1)});
       return all;
     }
     case Part::Kind::kBits:

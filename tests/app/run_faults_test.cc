@@ -217,9 +217,7 @@ std::vector<FaultOnDriver> faults_on_drivers() {
   for (const sim::FaultDescription& fault : sim::fault_descriptions()) {
     // These benches have no chamber; temperature_series_test has its faults.
     if (fault.kind == FaultKind::kChamberAlarm || fault.kind == FaultKind::kChamberDoor) continue;
-    std::vector<StageCase> all_stages = stages();
-    all_stages.insert(all_stages.end(), described_stages().begin(), described_stages().end());
-    for (const StageCase& stage : all_stages) {
+    for (const StageCase& stage : stages()) {
       if (fault.kind == FaultKind::kLostController && !stage.name.ends_with("_chain")) continue;
       all.push_back(
           {stage, accelerometers().front(), stage.name == "two_controllers" ? "stage-z" : "stage", fault});
