@@ -7,7 +7,7 @@ namespace abcal {
 /// A fit by generalised least squares: values = design * parameters, with errors of a known covariance.
 struct GeneralisedFit {
   Eigen::VectorXd parameters;
-  Eigen::MatrixXd covariance;  ///< Of the parameters.
+  Eigen::MatrixXd covariance;  ///< That of the parameters.
   Eigen::MatrixXd map;         ///< parameters = map * values
   double chi2 = 0.0;
   int degrees_of_freedom = 0;
