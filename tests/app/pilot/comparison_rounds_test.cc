@@ -6,6 +6,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <array>
+#include <boost/math/distributions/non_central_chi_squared.hpp>
 #include <cmath>
 #include <random>
 
@@ -77,6 +78,24 @@ class Round {
     return faulty;
   }
 
+  /// A fault of one institute: its result is off by so many of its standard uncertainties, in one quantity or
+  /// in all, with drawn signs.
+  std::size_t break_by(double size, bool in_all) {
+    const auto faulty = static_cast<std::size_t>(uniform(0.0, static_cast<double>(kInstitutes)));
+    const auto single = static_cast<Index>(uniform(0.0, static_cast<double>(kQuantities)));
+    fault_ = VectorXd::Zero(kQuantities);
+    for (const ArtefactMeasurement& one : measurements_)
+      if (one.participant == faulty) fault_ = size * one.covariance.diagonal().cwiseSqrt();
+    for (Index q = 0; q < kQuantities; ++q) {
+      if (uniform(0.0, 1.0) < 0.5) fault_(q) = -fault_(q);
+      if (!in_all && q != single) fault_(q) = 0.0;
+    }
+    for (ArtefactMeasurement& one : measurements_)
+      if (one.participant == faulty) one.values += fault_;
+    return faulty;
+  }
+  const VectorXd& fault() const { return fault_; }
+
   /// Drops the artefact after a transfer: it is off from then on, in one quantity.
   void drop_after(std::size_t transfer, Index quantity, double change) {
     for (std::size_t k = transfer + 1; k < measurements_.size(); ++k)
@@ -116,7 +135,7 @@ class Round {
   }
 
   std::mt19937_64 engine_;
-  VectorXd truth_, rate_, shared_u_, repeatability_;
+  VectorXd truth_, rate_, shared_u_, repeatability_, fault_;
   std::vector<ArtefactMeasurement> measurements_;
 };
 
@@ -200,6 +219,54 @@ TEST(ComparisonRounds, FaultyStageIsNamedAndTheReferenceHolds) {
   expect_covers(faulty, 0.01);
   EXPECT_GE(faulty.named, 950);
   EXPECT_LE(faulty.wrongly_named, 20);
+}
+
+/// How often a fault is named, and how often the power of the test says.
+struct Naming {
+  int rounds = 1000, named = 0, wrong = 0;
+  double expected = 0.0;
+};
+
+Naming name_faults(double size, bool in_all) {
+  constexpr double kLevel = 0.01;
+  Naming found;
+  const double limit = chi2_above(kLevel / kInstitutes, kQuantities);
+  for (int r = 0; r < found.rounds; ++r) {
+    Round round(static_cast<std::uint64_t>(50'000 + r));
+    const std::size_t faulty = round.break_by(size, in_all);
+    const ParticipantResults results = round.transferred().results;
+    for (const std::size_t i : faulty_participants(results, kLevel))
+      ++(i == faulty ? found.named : found.wrong);
+    // The noncentrality is chi2 of the fault alone, without any other error.
+    ParticipantResults fault_alone = results;
+    fault_alone.values.setZero();
+    fault_alone.values.segment(static_cast<Index>(faulty) * kQuantities, kQuantities) = round.fault();
+    const double noncentrality = consistency_of_participants(fault_alone).joint.chi2;
+    found.expected += boost::math::cdf(boost::math::complement(
+        boost::math::non_central_chi_squared(static_cast<double>(kQuantities), noncentrality), limit));
+  }
+  return found;
+}
+
+/// At most 1 % of rounds accuse a good institute: three standard deviations of that count.
+void expect_few_accusations(const Naming& found) {
+  const double expected = 0.01 * found.rounds;
+  EXPECT_LE(found.wrong, expected + 3.0 * std::sqrt(0.99 * expected));
+}
+
+TEST(ComparisonRounds, FaultOfThreeUncertaintiesInAllQuantitiesIsNamed) {
+  const Naming found = name_faults(3.0, true);
+  EXPECT_GE(found.named, 900);
+  expect_few_accusations(found);
+}
+
+TEST(ComparisonRounds, FaultOfOneQuantityIsNamedAsOftenAsThePowerOfTheTestSays) {
+  for (const double size : {3.0, 5.0}) {
+    const Naming found = name_faults(size, false);
+    const double part = found.expected / found.rounds;
+    EXPECT_NEAR(found.named, found.expected, 4.0 * std::sqrt(found.rounds * part * (1.0 - part))) << size;
+    expect_few_accusations(found);
+  }
 }
 
 TEST(ComparisonRounds, BrokenArtefactIsFoundBetweenItsTransfers) {
