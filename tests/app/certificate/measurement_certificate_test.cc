@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "app/laboratory/certificate/dcc_xml.h"
 #include "app/laboratory/certificate/report_certificate.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/sha256.h"
@@ -98,9 +99,27 @@ TEST_F(MeasurementCertificateTest, RestsOnAStatedChangeBetweenRuns) {
   CertificateRequest doubtful = request();
   doubtful.together.back().run->environment.clear();
   EXPECT_THAT(refusal(std::move(doubtful)), HasSubstr("run \"b.run\", temperature of the room"));
-  CertificateRequest as_found = request();
-  as_found.as_found = as_found.run;
-  EXPECT_THAT(refusal(std::move(as_found)), HasSubstr("a measurement of several runs"));
+}
+
+// The item before its adjustment may have been measured in several runs, too: each is inspected and listed.
+TEST_F(MeasurementCertificateTest, MayBeTheResultAsFound) {
+  const auto adjusted = [&] {
+    CertificateRequest asked = request();
+    asked.laboratory = parse_laboratory_file(
+        replaced(example_laboratory(), "deviations = \"\" ", "adjustment = \"set\" "), "lab.toml");
+    asked.as_found = asked.run;
+    asked.together_as_found = gather_runs(*asked.as_found, any_time());
+    return asked;
+  };
+  CertificateRequest unstated = adjusted();
+  unstated.as_found->record.tolerances.sources.erase("drift_between_runs");
+  EXPECT_THAT(refusal(std::move(unstated)), HasSubstr("drift_between_runs"));
+  CertificateRequest doubtful = adjusted();
+  doubtful.together_as_found.front().run->environment.clear();
+  EXPECT_THAT(refusal(std::move(doubtful)), HasSubstr("run \"a.run\", temperature of the room"));
+  const CertificateXml xml(xml_text(dcc_document(make_certificate(adjusted()))));
+  EXPECT_EQ(xml.texts("//dcc:statement[@refType='abc_runs']").size(), 2U);
+  EXPECT_EQ(xml.texts("//dcc:metaData[@refType='abc_runHash']").size(), 4U);
 }
 
 TEST_F(MeasurementCertificateTest, IsNotIssuedOfARunThatWasChanged) {
