@@ -95,7 +95,7 @@ step('without Stop itself the page says what to do instead', async () => {
   const without = await broken((file) => (file === '/stop.js' ? ERROR : null));
   const {banner, words} = await seen(without);
   assert.ok(banner);
-  assert.match(words, /^No contact\s+Nothing is known of the bench yet\s+Use the switch on the stage/);
+  assert.match(words, /^No contact\s+Nothing is known of the bench yet\s+Skip to content\s+Use the switch on the stage/);
   await pictureOf(without, 'without-stop-js');
   await without.close();
 });
