@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <nlohmann/json.hpp>
 #include <string>
 
@@ -105,9 +106,24 @@ TEST_F(ConstantRateRunTest, OtherProgramsGetNothingThatLacksTheRate) {
   const ProgramResult csv = abcal({"report", "a.run", "--csv", "a.csv"});
   EXPECT_NE(csv.exit_code, 0);
   EXPECT_THAT(csv.err, HasSubstr("constant rates"));
-  const ProgramResult abc = abcal({"analyse", "a.run", "--estimator", "abc"});
-  EXPECT_NE(abc.exit_code, 0);
-  EXPECT_THAT(abc.out, HasSubstr("the stage turned at constant rates"));
+}
+
+// One sine fit of the sweeps of each circle: the response at rest, with that of the joint fit in its
+// interval.
+TEST_F(ConstantRateRunTest, AbcGivesTheResponseAtRest) {
+  run();
+  const auto result_of = [&](const char* estimator) {
+    return nlohmann::json::parse(abcal({"analyse", "a.run", "--estimator", estimator, "--json"}).out);
+  };
+  const auto abc = result_of("abc"), joint = result_of("joint");
+  EXPECT_EQ(abc.at("verdict"), "usable") << abc.at("why");
+  for (const char* quantity : {"intrinsic_sensitivity", "intrinsic_angle", "offset"})
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto &one = abc.at(quantity).at(j), &other = joint.at(quantity).at(j);
+      EXPECT_LT(std::abs(one.at("value").get<double>() - other.at("value").get<double>()),
+                3.0 * one.at("standard_uncertainty").get<double>())
+          << quantity << " " << j;
+    }
 }
 
 TEST_F(ConstantRateRunTest, AnItemThatIsSlowerThanTheRotationIsSaidToBe) {
