@@ -13,10 +13,6 @@
 namespace abcal {
 namespace {
 
-bool are_of_one_run(std::span<const ItemInRun> places) {
-  return std::ranges::all_of(places, [&](const ItemInRun& place) { return place.run == places.front().run; });
-}
-
 /// As the analysis of these records takes them: in one run each item's noise is weighed again.
 std::vector<MeasuredItem> measured_of(const SeriesRuns& each, bool one_run) {
   std::vector<MeasuredItem> out = each.runs;

@@ -30,9 +30,6 @@ class MeasurementTrials {
   /// @throws std::runtime_error  a trial has no solution: it says so with its number
   void operator()(std::uint64_t first, std::size_t count, double* out) const;
 
-  /// The line response of the item (R), s row by row and O, by the fit that the trials surround.
-  const Vector12& line() const { return truths_.fit().items[item_].line; }
-
  private:
   OutputVector error_of(std::uint64_t trial) const;
 

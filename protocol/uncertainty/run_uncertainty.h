@@ -17,10 +17,12 @@
 
 namespace abcal {
 
+/// Trials of the ABC result unless others are asked for. JCGM 101: at least 1e4/(1 - p).
+inline constexpr std::uint64_t kAbcTrials = 200'000;
+
 struct UncertaintyOptions {
-  std::optional<std::uint64_t> trials =
-      200'000;                ///< Absent: adaptive to `digits`. JCGM 101: at least 1e4/(1 - p).
-  int digits = 2;             ///< Digits for the adaptive run.
+  std::optional<std::uint64_t> trials = kAbcTrials;  ///< Absent: adaptive to `digits`.
+  int digits = 2;                                    ///< Digits for the adaptive run.
   int validation_digits = 1;  ///< Meaningful digits of u in the validation of the GUM framework.
   std::uint64_t seed = 1;
   unsigned threads = 0;

@@ -11,7 +11,6 @@
 #include "protocol/estimators/shared/known_acs_sums.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/semidefinite_root.h"
-#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/study_output.h"
@@ -47,18 +46,6 @@ MeasuredPose pose_of(const DwellRecord& dwell, const MeasuredAcs& measured) {
   pose.terms.push_back({moving_angle_input(dwell.experiment), place, 1.0});
   pose.step_sd = measured.repeatability.rad();
   return pose;
-}
-
-/// R with R R' the covariance.
-Eigen::MatrixXd root_of(const Eigen::MatrixXd& covariance) {
-  constexpr double kRounding = 1e-9;
-  if (covariance.size() == 0) return covariance;
-  const SymmetricEigen eigen = symmetric_eigen(covariance);
-  const double largest = eigen.values.maxCoeff(), least = eigen.values.minCoeff();
-  if (!(std::isfinite(largest) && least >= -kRounding * std::max(largest, 0.0)))
-    throw std::invalid_argument(fmt::format(
-        "errors of the stage: the covariance has the eigenvalue {:.3g}; required: none below zero", least));
-  return scaled_columns(eigen.vectors, eigen.values.cwiseMax(0.0).cwiseSqrt());
 }
 
 }  // namespace
@@ -216,7 +203,7 @@ bool are_small(const std::vector<MeasuredPose>& poses, const Eigen::MatrixXd& co
 
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,
                             const MonteCarloOptions& options, TypeADraw draw) {
-  const Eigen::MatrixXd root = root_of(measured.state.covariance);
+  const Eigen::MatrixXd root = root_of_covariance(measured.state);
   const std::vector<MeasuredPose> poses = poses_of(record, measured);
   if (draw == TypeADraw::kSums && are_small(poses, measured.state.covariance)) {
     const DrawnSums sums(poses, measured.state.mean, root);

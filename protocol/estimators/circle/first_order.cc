@@ -173,27 +173,27 @@ void add_sweeps(std::span<const DwellRecord* const> dwells, const EffectPlaces& 
 /// Adds f_i(n) of each reading. The sweeps of a circle share it at one angle: the stage errs there alike.
 void add_steps(std::span<const DwellRecord* const> dwells, const EffectPlaces& places,
                const Eigen::Matrix3d& s, double step_deg, std::vector<InputEffect>& effects) {
-  std::map<std::array<int, 3>, std::vector<std::size_t>> shared;
+  std::map<std::array<int, 3>, std::size_t> of_sweeps;  // Place among the effects, by the angle of a circle.
   for (std::size_t k = 0; k < dwells.size(); ++k) {
     const DwellRecord& dwell = *dwells[k];
-    const bool at_rest = !dwell.motion;
-    shared[{dwell.experiment, at_rest ? static_cast<int>(k) : dwell.face, at_rest ? -1 : dwell.n}].push_back(
-        k);
-  }
-  std::vector<const std::vector<std::size_t>*> in_order;
-  for (const auto& [which, readings] : shared) in_order.push_back(&readings);
-  std::ranges::sort(in_order, {}, [](const std::vector<std::size_t>* readings) { return readings->front(); });
-  for (const std::vector<std::size_t>* readings : in_order) {
-    const DwellRecord& first = *dwells[readings->front()];
+    if (dwell.motion) {
+      const auto [known, is_new] =
+          of_sweeps.try_emplace({dwell.experiment, dwell.face, dwell.n}, effects.size());
+      if (!is_new) {
+        InputEffect& shared = effects[known->second];
+        shared.effect.resize(k - shared.first_reading, Eigen::Vector3d::Zero());
+        shared.effect.push_back(by_degree(places, k, s));
+        continue;
+      }
+    }
     InputEffect effect;
-    effect.name = fmt::format("f_{}({})", first.experiment, first.n);
-    effect.group = fmt::format("f_{}", first.experiment);
+    effect.name = fmt::format("f_{}({})", dwell.experiment, dwell.n);
+    effect.group = fmt::format("f_{}", dwell.experiment);
     effect.key = "step_deg";
     effect.unit = "degree";
     effect.standard_uncertainty = step_deg;
-    effect.first_reading = readings->front();
-    effect.effect.assign(readings->back() - readings->front() + 1, Eigen::Vector3d::Zero());
-    for (const std::size_t n : *readings) effect.effect[n - readings->front()] = by_degree(places, n, s);
+    effect.first_reading = k;
+    effect.effect.push_back(by_degree(places, k, s));
     effects.push_back(std::move(effect));
   }
 }

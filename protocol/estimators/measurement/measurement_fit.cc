@@ -14,6 +14,7 @@
 
 #include "protocol/estimators/joint/line_response.h"
 #include "protocol/estimators/measurement/size_posterior.h"
+#include "protocol/estimators/measurement/stage_curves.h"
 #include "protocol/estimators/shared/normal_matrix.h"
 #include "protocol/estimators/shared/reading_kernels.h"
 #include "protocol/estimators/shared/side_by_side.h"
@@ -132,7 +133,9 @@ class Measurement {
   Measurement(std::span<const MeasuredItem> measured, const MeasurementOptions& options);
   MeasurementFit result();
   /// As MeasurementTruths::draw(); after result().
-  MeasurementTruth truth(const std::function<double(const std::string& key)>& standard) const;
+  /// @param root_of_record  of the covariance of the state that the options give; empty: they give none
+  MeasurementTruth truth(const std::function<double(const std::string& key)>& standard,
+                         const Eigen::MatrixXd& root_of_record) const;
 
  private:
   struct Item {
@@ -241,7 +244,6 @@ class Measurement {
   Eigen::MatrixXd prior_of_stage_;        ///< Weights of the priors of the stage.
   std::vector<Eigen::Index> new_angles_;  ///< Places of the fine map of which nothing is known before.
   std::vector<Eigen::Index> known_;       ///< Places of the stage's unknowns in the given state; -1: none.
-  Eigen::MatrixXd root_of_record_;        ///< Root of the given state's covariance.
   double visit_ = 0.0;                    ///< Size of the part of a step error that differs between visits.
   double stage_log_determinant_ = 0.0;    ///< log det of the covariance of the others' priors.
   /// In one run: places of the unknowns whose sum is an unknown of the stage in this run, or the step error
@@ -367,10 +369,6 @@ void Measurement::set_prior_of_stage() {
       if (const Eigen::Index a = known[static_cast<std::size_t>(i)], b = known[static_cast<std::size_t>(k)];
           a >= 0 && b >= 0)
         before(i, k) = options_.stage->covariance(a, b);
-  if (options_.stage) {
-    const SymmetricEigen record = symmetric_eigen(options_.stage->covariance);
-    root_of_record_ = scaled_columns(record.vectors, record.values.cwiseMax(0.0).cwiseSqrt());
-  }
   if (size == 0) return;
   const NormalMatrix covariance(before);
   if (!covariance.solvable())
@@ -1198,7 +1196,8 @@ MeasurementFit Measurement::result() {
 }
 
 /// Unknowns of the stage that a record knows vary together; all others vary by themselves.
-MeasurementTruth Measurement::truth(const std::function<double(const std::string& key)>& standard) const {
+MeasurementTruth Measurement::truth(const std::function<double(const std::string& key)>& standard,
+                                    const Eigen::MatrixXd& root_of_record) const {
   Eigen::VectorXd x = point_;
   for (std::size_t i = 0; i < unknowns_.size(); ++i) {
     const Unknown& unknown = unknowns_[i];
@@ -1213,7 +1212,7 @@ MeasurementTruth Measurement::truth(const std::function<double(const std::string
   if (options_.stage) {
     Eigen::VectorXd independent(options_.stage->size());
     for (double& one : independent) one = standard("");
-    const Eigen::VectorXd drawn = options_.stage->mean + product_with_vector(root_of_record_, independent);
+    const Eigen::VectorXd drawn = options_.stage->mean + product_with_vector(root_of_record, independent);
     for (Eigen::Index i = 0; i < stage_.size(); ++i)
       if (const Eigen::Index known = known_[static_cast<std::size_t>(i)]; known >= 0) x(i) = drawn(known);
   }
@@ -1231,15 +1230,15 @@ MeasurementTruth Measurement::truth(const std::function<double(const std::string
 struct MeasurementTruths::Solved {
   Measurement measurement;
   MeasurementFit fit;
+  Eigen::MatrixXd root_of_record;
 };
 
 MeasurementTruths::MeasurementTruths(std::span<const MeasuredItem> measured,
                                      const MeasurementOptions& options)
-    : solved_(new Solved{Measurement(measured, options), {}}) {
+    : solved_(new Solved{Measurement(measured, options), {}, {}}) {
   solved_->fit = solved_->measurement.result();
+  if (options.stage) solved_->root_of_record = root_of_covariance(*options.stage);
 }
-MeasurementTruths::MeasurementTruths(MeasurementTruths&&) noexcept = default;
-MeasurementTruths& MeasurementTruths::operator=(MeasurementTruths&&) noexcept = default;
 MeasurementTruths::~MeasurementTruths() = default;
 
 const MeasurementFit& MeasurementTruths::fit() const {
@@ -1248,7 +1247,7 @@ const MeasurementFit& MeasurementTruths::fit() const {
 
 MeasurementTruth MeasurementTruths::draw(
     const std::function<double(const std::string& key)>& standard) const {
-  return solved_->measurement.truth(standard);
+  return solved_->measurement.truth(standard, solved_->root_of_record);
 }
 
 double variance_of_new_map(const AxisAngle& angle, double step, double visit) {

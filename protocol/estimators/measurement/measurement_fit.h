@@ -132,8 +132,6 @@ class MeasurementTruths {
   /// @param measured  must outlive this
   /// @throws as fit_measurement()
   explicit MeasurementTruths(std::span<const MeasuredItem> measured, const MeasurementOptions& options = {});
-  MeasurementTruths(MeasurementTruths&&) noexcept;
-  MeasurementTruths& operator=(MeasurementTruths&&) noexcept;
   ~MeasurementTruths();
 
   const MeasurementFit& fit() const;

@@ -150,12 +150,15 @@ CalibrationResult result_with_record(const RunRecord& record, const ItemFit& own
   return result;
 }
 
+bool are_of_one_run(std::span<const ItemInRun> places) {
+  return std::ranges::all_of(places, [&](const ItemInRun& place) { return place.run == places.front().run; });
+}
+
 SeriesRuns fit_each_run(std::span<const RunRecord> records, std::span<const ItemInRun> places,
                         const JointOptions& options) {
   SeriesRuns out;
   std::map<int, Eigen::Vector3d> units;
-  const bool several =
-      std::ranges::any_of(places, [&](const ItemInRun& place) { return place.run != places.front().run; });
+  const bool several = !are_of_one_run(places);
   for (std::size_t k = 0; k < records.size(); ++k) {
     JointOptions of_run = options;
     of_run.measured_alignment = records[k].measured_alignment;

@@ -30,6 +30,8 @@ struct ItemInRun {
   int item = 0, run = 0;
 };
 
+bool are_of_one_run(std::span<const ItemInRun> places);
+
 /// The items of several runs, each with its own fit in each run.
 struct SeriesRuns {
   std::vector<std::unique_ptr<ItemFit>> own;

@@ -1,9 +1,13 @@
 #include "protocol/estimators/measurement/stage_curves.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 
 namespace abcal {
@@ -37,6 +41,17 @@ std::vector<StageCurvePoint> less_mean(const StageState& state, Eigen::MatrixXd 
 }
 
 }  // namespace
+
+Eigen::MatrixXd root_of_covariance(const StageState& state) {
+  constexpr double kRounding = 1e-9;
+  if (state.covariance.size() == 0) return state.covariance;
+  const SymmetricEigen eigen = symmetric_eigen(state.covariance);
+  const double largest = eigen.values.maxCoeff(), least = eigen.values.minCoeff();
+  if (!(std::isfinite(largest) && least >= -kRounding * std::max(largest, 0.0)))
+    throw std::invalid_argument(fmt::format(
+        "errors of the stage: the covariance has the eigenvalue {:.3g}; required: none below zero", least));
+  return scaled_columns(eigen.vectors, eigen.values.cwiseMax(0.0).cwiseSqrt());
+}
 
 std::vector<StageTerm> terms_at(const StageState& state, const StagePose& pose) {
   std::vector<StageTerm> terms;

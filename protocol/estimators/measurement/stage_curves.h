@@ -17,6 +17,11 @@ struct StageTerm {
 /// The inputs of the stage at a pose by the named unknowns of a state, without its fine map.
 std::vector<StageTerm> terms_at(const StageState& state, const StagePose& pose);
 
+/// R of the covariance R R' of a state: errors of the stage are its mean and R times independent standard
+/// normal numbers.
+/// @throws std::invalid_argument a covariance with a direction of less than no variance
+Eigen::MatrixXd root_of_covariance(const StageState& state);
+
 /// A value of a stage at an angle of one of its axes.
 struct StageCurvePoint {
   double angle_deg = 0.0;
