@@ -86,8 +86,7 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
 
 /// The readings of one run.
 struct RunReadings {
-  std::string
-      suffix;  ///< Ends the names of its files: "-2", the second run of a measurement; empty: the only run.
+  std::string suffix;  ///< Ends its files' names: "-2", the second run of a measurement; empty: the only one.
   std::vector<ReportData> items;
 };
 
@@ -172,11 +171,15 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
   }
 }
 
+bool wants_readings(const ReportOptions& options) {
+  return !options.csv.empty() || !options.csv_raw.empty() || !options.hdf5.empty();
+}
+
 /// Whether files of data alone are wanted, which hold all items. Everything else is of one.
 bool wants_data_alone(const ReportOptions& options) {
   const bool wants_pages = options.json || options.draft || options.record || !options.html.empty() ||
                            !options.pdf.empty() || !options.dcc.empty();
-  return !wants_pages && (!options.csv.empty() || !options.csv_raw.empty() || !options.hdf5.empty());
+  return !wants_pages && wants_readings(options);
 }
 
 }  // namespace
@@ -228,9 +231,9 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     } else {
       pages.document = calibration_document(data);
     }
-    const bool wants_readings = !(options->csv.empty() && options->csv_raw.empty() && options->hdf5.empty());
-    const std::vector<RunReadings> runs =
-        wants_readings ? readings_of(items, item, RealClock().utc_now()) : std::vector<RunReadings>();
+    const std::vector<RunReadings> runs = wants_readings(*options)
+                                              ? readings_of(items, item, RealClock().utc_now())
+                                              : std::vector<RunReadings>();
     const std::vector<Output> outputs = outputs_of(*options, runs, pages);
     check(*options, data, outputs);
     write_all(outputs, options->json);

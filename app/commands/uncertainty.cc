@@ -108,7 +108,7 @@ RunUncertainty study_of_joint_result(const AnalysedRun& run, int item, const Unc
   for (std::size_t r = 0; r < runs; ++r)
     for (std::size_t i = 0; i < together.size(); ++i) {
       const std::size_t of_run = together[i];
-      // Those of the first run have the record of the stage with which they were evaluated.
+      // Only the items of the first run have the record of the stage with which they were evaluated.
       records.push_back(r == 0 ? run.items[of_run].stored.record : run.runs[r].items[of_run].record);
       places.push_back({static_cast<int>(i), static_cast<int>(r)});
     }
@@ -201,8 +201,7 @@ RunUncertainty study_of(const StudyOptions& options, MonteCarloTeam* team) {
   const Estimator& estimator = estimator_of(options, record);
   require_angles(record, estimator);
   override_sizes(options, record.tolerances);
-  if (estimator.rests_on_stated_sizes)
-    return done(run_uncertainty(record, with_bar(UncertaintyOptions().trials.value())));
+  if (estimator.rests_on_stated_sizes) return done(run_uncertainty(record, with_bar(kAbcTrials)));
   if (estimator.fit != nullptr) return done(norm_uncertainty(record, with_bar(kJointTrials)));
   check_tolerances(record.tolerances);
   const bool alone = items.size() == 1 && !record.stage_record.record;

@@ -90,7 +90,8 @@ export class Readiness {
     } else {
       fact('warning', TEXT.instruments, TEXT.never);
     }
-    if (items.length) fact('good', TEXT.several, items.map((one) => one.serial_number || one.model || one.driver).join(', '));
+    const several = items.map((one) => one.serial_number || one.model || one.driver).join(', ');
+    if (items.length) fact('good', TEXT.several, several);
     else fact(item.serial_number ? 'good' : 'warning', TEXT.item, [item.maker, item.model, item.serial_number || TEXT.noItem].filter(Boolean).join(' '));
     fact('good', TEXT.plan, t`${plan.angles} angles, ${duration(time.total_s)}`);
     fact(operator.name ? 'good' : 'warning', TEXT.operator, operator.name ? operatorIn(operator.verified ? operator.name : `${operator.name} (stated, not verified)`) : TEXT.nobody);
@@ -99,7 +100,7 @@ export class Readiness {
     if (register) fact('good', TEXT.register, register.name, register.training ? TEXT.training : '');
     else fact('warning', TEXT.register, TEXT.noRegister);
     fact(disk.free_bytes !== null && disk.free_bytes < disk.needed_bytes ? 'problem' : 'good', TEXT.disk, t`${gigabytes(disk.free_bytes)} free, ${gigabytes(disk.needed_bytes)} needed`);
-    this.loaded(items.length ? items.map((one) => one.serial_number || one.model || one.driver).join(', ') : item.serial_number || item.model || '');
+    this.loaded(several || item.serial_number || item.model || '');
     byId('ready-facts').replaceChildren(...facts);
     const notices = [...answer.problems.map((words) => ['problem', words]), ...answer.warnings.map((words) => ['warning', words])];
     byId('ready-notices').firstElementChild.textContent = t`Notes before the start: ${notices.length}`;

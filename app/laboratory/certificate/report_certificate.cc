@@ -67,6 +67,11 @@ std::vector<ReportData> gather_runs(const ReportData& data, Clock::UtcTime now) 
   return runs;
 }
 
+void gather_runs(CertificateRequest& request, Clock::UtcTime now) {
+  request.together = gather_runs(request.run, now);
+  if (request.as_found) request.together_as_found = gather_runs(*request.as_found, now);
+}
+
 std::string certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
                                    Clock::UtcTime now) {
   std::optional<ReportData> as_found;
@@ -90,8 +95,7 @@ std::string certificate_for_report(const ReportData& data, const CertificateFile
   request.run = data;
   request.as_found = std::move(as_found);
   add_monte_carlo(request);
-  request.together = gather_runs(data, now);
-  if (request.as_found) request.together_as_found = gather_runs(*request.as_found, now);
+  gather_runs(request, now);
   request.series = std::move(series);
   request.draft = draft;
   return checked_xml(make_certificate(std::move(request)), &schema);

@@ -37,6 +37,8 @@ std::vector<ReportData> gather_series(const std::vector<std::string>& paths, con
 
 /// Reads the runs of a measurement, for the item that it is of; none, if it is one run.
 std::vector<ReportData> gather_runs(const ReportData& data, Clock::UtcTime now);
+/// Reads those of both results of a certificate.
+void gather_runs(CertificateRequest& request, Clock::UtcTime now);
 
 /// The XML of a run's certificate: of the one that was issued, byte for byte, or else of a draft from the
 /// laboratory file.

@@ -343,8 +343,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   if (!asked.certificate.as_found.empty())
     request.as_found = gather_same_item("--as-found", asked.certificate.as_found, request.run, now);
   add_monte_carlo(request);
-  request.together = gather_runs(request.run, now);
-  if (request.as_found) request.together_as_found = gather_runs(*request.as_found, now);
+  gather_runs(request, now);
   request.series = gather_series(asked.certificate.temperature, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
   request.issue->witnessing = evidence.witnessing;
