@@ -21,7 +21,7 @@
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/bench_text.h"
-#include "tests/support/project_paths.h"
+#include "tests/app/stage_variants.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -68,17 +68,6 @@ TEST(DescribedRunTest, GivesTheSameAnglesAndReadingsAsTheDriverInCpp) {
   const auto stage = std::ranges::find(described.header.instruments, "stage", &InstrumentIdentity::role);
   ASSERT_NE(stage, described.header.instruments.end());
   EXPECT_THAT(stage->details, ContainsRegex("; description zaber_ascii, SHA-256 [0-9a-f]{64}$"));
-}
-
-/// Controllers that are made up, each described from its manual, the comment at the head of its file; and the
-/// shipped descriptions.
-std::vector<std::string> made_up_and_shipped() {
-  std::vector<std::string> all;
-  for (const auto& file :
-       std::filesystem::directory_iterator(test::source_folder() / "tests/drivers/described/made_up"))
-    all.push_back(file.path().string());
-  for (const ShippedDescription& shipped : shipped_descriptions()) all.emplace_back(shipped.name);
-  return all;
 }
 
 class EveryDescriptionTest : public testing::TestWithParam<std::string> {};

@@ -17,6 +17,7 @@
 #include "app/bench_file/stage_description_file.h"
 #include "app/system/exit_code.h"
 #include "tests/app/program_fixtures.h"
+#include "tests/app/stage_variants.h"
 #include "tests/support/emulator_control.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/typed_program.h"
@@ -96,18 +97,7 @@ TEST_F(StageTryTest, ADryRunIsMeasuredAndNeedsItsFileNoMore) {
   EXPECT_EQ(abcal({"analyse", "a.run"}).exit_code, 0);
 }
 
-/// Controllers that are made up, each described from its manual, the comment at the head of its file; and the
-/// shipped ones.
 class EveryDescription : public ProgramTest, public testing::WithParamInterface<std::string> {};
-
-std::vector<std::string> made_up_and_shipped() {
-  std::vector<std::string> all;
-  for (const auto& file :
-       std::filesystem::directory_iterator(test::source_folder() / "tests/drivers/described/made_up"))
-    all.push_back(file.path().string());
-  for (const ShippedDescription& shipped : shipped_descriptions()) all.emplace_back(shipped.name);
-  return all;
-}
 
 TEST_P(EveryDescription, IsTriedOnItsEmulator) {
   StageConfig stage;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -11,6 +12,7 @@
 #include "app/bench_file/bench_config.h"
 #include "app/bench_file/stage_description_file.h"
 #include "drivers/registry.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 
@@ -87,6 +89,17 @@ inline std::vector<std::string> names_of_stage_variants() {
   std::vector<std::string> names;
   for (const StageVariant& variant : stage_variants()) names.push_back(variant.name);
   return names;
+}
+
+/// Controllers that are made up, each described from its manual, the comment at the head of its file; and the
+/// shipped descriptions.
+inline std::vector<std::string> made_up_and_shipped() {
+  std::vector<std::string> all;
+  for (const auto& file :
+       std::filesystem::directory_iterator(test::source_folder() / "tests/drivers/described/made_up"))
+    all.push_back(file.path().string());
+  for (const ShippedDescription& shipped : shipped_descriptions()) all.emplace_back(shipped.name);
+  return all;
 }
 
 }  // namespace abcal
