@@ -136,7 +136,7 @@ Guess typographic_quotes(std::string_view line) {
 Guess open_section(std::string_view line) {
   const std::string_view content = trimmed(line.substr(0, end_of_content(line)));
   if (content.empty() || content.front() != '[') return std::nullopt;
-  const std::size_t brackets = std::min(content.find_first_not_of('['), std::size_t{2});
+  const std::size_t brackets = std::min({content.find_first_not_of('['), content.size(), std::size_t{2}});
   const std::string_view inner = content.substr(brackets);
   std::string_view name = trimmed(inner.substr(0, inner.find_first_of("])}")));
   if (!is_bare_key(name)) return std::nullopt;

@@ -110,6 +110,9 @@ const std::vector<HumanMistake>& human_mistakes() {
       {"RoundBracketAtTheEnd", "[protocol]", "[protocol)", "a section, [protocol]", "[protocol]"},
       {"OneBracketTooMany", "[protocol]", "[[protocol]", "a section, [[protocol]]", "[[protocol]]"},
       {"SectionWithAColon", "[protocol]", "[protocol]:", "a section, [protocol]", "[protocol]"},
+      {"BracketAlone", "[protocol]", "[", "key = value under a [section]"},
+      {"TwoBracketsAlone", "[protocol]", "[[", "key = value under a [section]"},
+      {"NoKeyInBrackets", "[protocol]", "[@]", "key = value under a [section]"},
       {"SectionTwice", "[protocol]", "[operator]", "operator"},
       // Keys.
       {"KeyWithoutItsUnit", "rate_hz = 100.0", "rate = 100.0", "did you mean \"rate_hz\"", "rate_hz = 100.0"},
