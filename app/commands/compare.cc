@@ -20,7 +20,7 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
     CompareOptions compare;
     TableOptions table;
     int item = 0;
-    bool published = false, json = false;
+    bool published = false, refit = false, json = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
@@ -48,6 +48,9 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   command->add_flag("--published", options->published,
                     "of runs and tables: the abc result by the published formula (Geist & Gaitan 2021), for "
                     "comparison with another laboratory's ABC result");
+  command->add_flag("--refit", options->refit,
+                    "compute every result from the readings, also where this version of abcal has stored it "
+                    "with its run");
   command->add_flag("--any-item", options->compare.any_item, "compare results of different items");
   command->add_option("--group-by", options->compare.group_by,
                       "analysis of variance between groups: day, stage, or a label such as operator.name");
@@ -55,8 +58,9 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   command->callback([options, &exit_code] {
     const std::string estimator =
         estimator_to_compare(options->estimator, options->compare.shared_stage || options->published);
-    std::vector<ComparedResult> results =
-        load_compared(options->files, estimator, options->item, options->table);
+    std::vector<ComparedResult> results = load_compared(
+        options->files, estimator, options->refit ? ResultSource::kReadings : ResultSource::kStored,
+        options->item, options->table);
     for (const ComparedResult& result : results)
       if (result.record) say_how_read(result.file, *result.record);
     if (options->published) take_published_formula(results);

@@ -548,7 +548,7 @@ std::optional<std::string> RunLibrary::find_item(const std::string& name) const 
 
 Json RunLibrary::compare(const std::string& first, const std::string& second, bool shared_stage) {
   std::vector<ComparedResult> results =
-      load_compared({first, second}, estimator_to_compare({}, shared_stage));
+      load_compared({first, second}, estimator_to_compare({}, shared_stage), ResultSource::kStored);
   for (ComparedResult& result : results)  // A page refers to runs by name.
     result.file = std::filesystem::path(result.file).filename().string();
   CompareOptions options;

@@ -50,8 +50,8 @@ Comparison compare(const std::vector<std::filesystem::path>& files, const Compar
   options.group_by = choices.group_by;
   const std::string estimator = ::abcal::estimator_to_compare(choices.estimator, choices.shared_stage);
   const std::vector<std::string> names(files.begin(), files.end());
-  return Comparison(std::make_shared<const Comparison::Data>(
-      Comparison::Data{::abcal::compare_results(::abcal::load_compared(names, estimator), options)}));
+  return Comparison(std::make_shared<const Comparison::Data>(Comparison::Data{::abcal::compare_results(
+      ::abcal::load_compared(names, estimator, ::abcal::ResultSource::kReadings), options)}));
 }
 
 }  // namespace abcal::v1

@@ -819,6 +819,14 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
 
 }  // namespace
 
+std::vector<StoredRun> RunFile::load_items(SqliteDatabase& database, const std::filesystem::path& path,
+                                           int item) {
+  std::vector<StoredRun> items{load_from(database, path, std::max(1, item))};
+  const std::size_t count = item == 0 ? items.front().header.items.size() : 1;
+  for (std::size_t k = 2; k <= count; ++k) items.push_back(load_from(database, path, static_cast<int>(k)));
+  return items;
+}
+
 StoredRun RunFile::load(const std::filesystem::path& path, int item) {
   // A run that is being written, or whose program died, has a file -wal, which a read-only connection can use
   // too if it may write the file -shm; a closed run is a single file.
@@ -828,10 +836,7 @@ StoredRun RunFile::load(const std::filesystem::path& path, int item) {
 
 std::vector<StoredRun> RunFile::load_items(const std::filesystem::path& path) {
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
-  std::vector<StoredRun> items{load_from(database, path, 1)};
-  const std::size_t count = items.front().header.items.size();
-  for (std::size_t k = 2; k <= count; ++k) items.push_back(load_from(database, path, static_cast<int>(k)));
-  return items;
+  return load_items(database, path);
 }
 
 std::size_t RunFile::count_items(const std::filesystem::path& path) {

@@ -266,6 +266,10 @@ class RunFile {
 
   /// Like load(), for every item of a run in their order; the file is checked for damage once.
   static std::vector<StoredRun> load_items(const std::filesystem::path& path);
+  /// Like load_items(), from the file that open_run_file() has opened.
+  /// @param item  this one alone, from 1; 0: all
+  static std::vector<StoredRun> load_items(SqliteDatabase& database, const std::filesystem::path& path,
+                                           int item = 0);
 
   /// The number of items of a run. Nothing else is read, and the file is not checked for damage.
   static std::size_t count_items(const std::filesystem::path& path);

@@ -7,6 +7,7 @@
 #include <array>
 #include <cstdlib>
 #include <map>
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <system_error>
@@ -264,14 +265,13 @@ KnownSchema make_known_schema(std::int64_t version) {
   return known;
 }
 
+/// Made when a file of that version is opened first: to make one takes as long as to analyse a short run.
 const KnownSchema& known_schema(std::int64_t version) {
-  static const auto known = [] {
-    std::array<KnownSchema, kRunFileVersion + 1> of_versions;
-    for (std::size_t k = 0; k < of_versions.size(); ++k)
-      of_versions[k] = make_known_schema(static_cast<std::int64_t>(k));
-    return of_versions;
-  }();
-  return known.at(static_cast<std::size_t>(version));
+  static std::array<std::once_flag, kRunFileVersion + 1> made;
+  static std::array<KnownSchema, kRunFileVersion + 1> of_versions;
+  const auto k = static_cast<std::size_t>(version);
+  std::call_once(made.at(k), [&] { of_versions.at(k) = make_known_schema(version); });
+  return of_versions.at(k);
 }
 
 /// The list gives what is allowed, by its whole text: a view can be endless or show other readings, a trigger

@@ -12,6 +12,7 @@
 #include "drivers/text/letters.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/dwell_chain.h"
+#include "protocol/record/dwell_rows.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_schema.h"
@@ -210,12 +211,12 @@ std::int64_t finite_readings(const StoredDwell& dwell) {
 /// nothing.
 IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRun& stored) {
   const std::string what = "readings";
-  SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
+  SqliteDatabase database = open_run_file_unchecked(run, SqliteDatabase::Mode::kReadOnly);
   SqliteStatement rows = database.prepare("select * from dwell order by id");
   const bool of_version_5 = has_faces(database);
   std::size_t dwells = 0, readings = 0, passed = 0;
   std::string wrong;
-  RunFile::read_dwells(run, [&](const StoredDwell& dwell) {
+  const auto check = [&](const StoredDwell& dwell) {
     if (!rows.step() || !wrong.empty()) return;
     ++dwells;
     readings += dwell.readings.size();
@@ -235,7 +236,8 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
     if (!differs.empty())
       wrong = fmt::format("dwell {} (experiment {}, n = {}): its {} does not follow from its readings",
                           dwells, dwell.experiment, dwell.n, differs);
-  });
+  };
+  read_all_dwells(database, check, 0);
   if (!wrong.empty()) return {what, false, wrong};
   if (passed > 0)
     return {what, true,
@@ -273,24 +275,28 @@ void check_certificates_of_items(const std::filesystem::path& run, std::size_t i
   }
 }
 
-/// Compares the bytes of a closed run with its results. @return nullopt: there are none, or they state no
-/// hash
-std::optional<IntegrityCheck> check_hash(const std::filesystem::path& run) {
-  const std::filesystem::path results = ResultsFile::path_beside(run);
+/// Compares the bytes of a complete run with its results, if they state a hash.
+void check_hash(CheckedRun& run) {
+  const std::filesystem::path results = ResultsFile::path_beside(run.path);
   std::error_code error;
-  if (!std::filesystem::exists(results, error)) return std::nullopt;
+  if (!std::filesystem::exists(results, error)) return;
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
   // A disk that failed may have left an empty file.
   const auto named = database.has_table("run") ? database.value("select sha256 from run") : std::nullopt;
-  if (!named) return std::nullopt;
-  const std::string actual = sha256_of_file(run);
-  return IntegrityCheck{
+  if (!named) return;
+  const std::string actual = sha256_of_file(run.path);
+  run.sha256 = actual;
+  run.hash = IntegrityCheck{
       "SHA-256", *named == actual,
       *named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, *named)};
 }
 
-void check_results(const std::filesystem::path& run, std::size_t items, std::vector<IntegrityCheck>& checks) {
-  const std::filesystem::path results = ResultsFile::path_beside(run);
+IntegrityCheck check_analyses(SqliteDatabase& results) {
+  return check_chain(results, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"});
+}
+
+void check_results(const CheckedRun& run, std::size_t items, std::vector<IntegrityCheck>& checks) {
+  const std::filesystem::path results = ResultsFile::path_beside(run.path);
   std::error_code error;
   if (!std::filesystem::exists(results, error)) {
     checks.push_back({"SHA-256", false,
@@ -298,7 +304,7 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
                                          "creates it again, with a note that earlier analyses are unknown"});
     return;
   }
-  checks.push_back(check_hash(run).value_or(IntegrityCheck{"SHA-256", false, "the results state none"}));
+  checks.push_back(run.hash.value_or(IntegrityCheck{"SHA-256", false, "the results state none"}));
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
   std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
   const bool is_sound = sound == "ok";
@@ -307,15 +313,14 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
     if (!note.empty()) sound += "; " + note;
   }
   checks.push_back({"results file", is_sound, sound});
-  checks.push_back(
-      check_chain(database, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"}));
+  checks.push_back(check_analyses(database));
   // Results from before the first certificates do not have this table.
   if (database.has_table("certificate")) {
     checks.push_back(check_chain(database, "certificates", "certificate",
                                  {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",
                                   "program_version", "laboratory_toml", "xml"},
                                  "item"));
-    if (items > 1) check_certificates_of_items(run, items, checks);
+    if (items > 1) check_certificates_of_items(run.path, items, checks);
   }
 }
 
@@ -324,21 +329,18 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
 namespace {
 
 /// The checks of the measurements themselves, which a run that is not closed passes as well.
-void check_measurements(const std::filesystem::path& run, const StoredRun& stored,
-                        std::vector<IntegrityCheck>& checks) {
-  const bool complete = stored.state == RunState::kComplete;
+void check_measurements(SqliteDatabase& database, CheckedRun& run) {
+  const StoredRun& stored = run.items.front();
+  std::vector<IntegrityCheck>& checks = run.measurements;
   // The two checks that read every reading of the run work in parallel.
   std::future<IntegrityCheck> statements =
-      std::async(std::launch::async, [&] { return check_statements(run, stored); });
-  {
-    SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
-    checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
-    checks.push_back(check_references(database));
-    if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, complete));
-    if (std::ranges::any_of(stored.header.plan, [](const PlannedAngle& angle) { return angle.sweep > 0; }))
-      checks.push_back(check_sweeps(database, stored.header.plan));
-    if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
-  }
+      std::async(std::launch::async, [&] { return check_statements(run.path, stored); });
+  checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
+  checks.push_back(check_references(database));
+  if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, run.complete()));
+  if (std::ranges::any_of(stored.header.plan, [](const PlannedAngle& angle) { return angle.sweep > 0; }))
+    checks.push_back(check_sweeps(database, stored.header.plan));
+  if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
   checks.push_back(statements.get());
 }
 
@@ -348,42 +350,62 @@ namespace {
 
 /// Refuses a run that contradicts itself, or of which the results name another hash.
 /// @param so  what is not done with it
-void require_sound(const std::filesystem::path& run, const char* so) {
-  const StoredRun stored = RunFile::load(run);
-  std::vector<IntegrityCheck> checks;
-  check_measurements(run, stored, checks);
-  if (stored.state == RunState::kComplete)
-    if (auto hash = check_hash(run)) checks.push_back(*std::move(hash));
+void require_sound(const CheckedRun& run, const char* so) {
   std::string found;
-  for (const IntegrityCheck& check : checks)
+  const auto look_at = [&found](const IntegrityCheck& check) {
     if (!check.good) found += fmt::format("{}{}: {}", found.empty() ? "" : "; ", check.what, check.found);
+  };
+  std::ranges::for_each(run.measurements, look_at);
+  if (run.hash) look_at(*run.hash);
   if (found.empty()) return;
   throw RunFileError(fmt::format(
       "{}: the file was changed or is damaged: {}. It {}; restore it from a copy, or measure again",
-      run.string(), found, so));
+      run.path.string(), found, so));
 }
 
 }  // namespace
 
-void require_unchanged(const std::filesystem::path& run) {
-  require_sound(run, "is not continued");
+CheckedRun read_and_check(const std::filesystem::path& run, int item) {
+  // Opens, has the right schema and passes SQLite's own check, or throws. Every other reader of this run here
+  // needs no second one.
+  SqliteDatabase database = open_run_file(run, SqliteDatabase::Mode::kReadOnly);
+  CheckedRun checked;
+  checked.path = run;
+  checked.items = RunFile::load_items(database, run, item);
+  check_measurements(database, checked);
+  if (checked.complete()) check_hash(checked);
+  return checked;
 }
 
-void require_as_stored(const std::filesystem::path& run) {
-  require_sound(run, "gives no result");
+void require_unchanged(const std::filesystem::path& run) {
+  require_sound(read_and_check(run, 1), "is not continued");
+}
+
+CheckedRun read_as_stored(const std::filesystem::path& run, int item) {
+  CheckedRun checked = read_and_check(run, item);
+  require_sound(checked, "gives no result");
+  return checked;
 }
 
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
+  return verify_run(read_and_check(run, 1));
+}
+
+std::vector<IntegrityCheck> verify_run(const CheckedRun& run) {
   std::vector<IntegrityCheck> checks;
-  // Opens, has the right schema and passes SQLite's own check, or throws.
-  const StoredRun stored = RunFile::load(run);
-  const bool complete = stored.state == RunState::kComplete;
-  checks.push_back({"state", complete,
-                    complete ? "complete and closed"
-                             : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
-  check_measurements(run, stored, checks);
-  if (complete) check_results(run, stored.items.size(), checks);
+  const StoredRun& stored = run.items.front();
+  checks.push_back({"state", run.complete(),
+                    run.complete()
+                        ? "complete and closed"
+                        : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
+  checks.insert(checks.end(), run.measurements.begin(), run.measurements.end());
+  if (run.complete()) check_results(run, stored.items.size(), checks);
   return checks;
+}
+
+bool analyses_are_linked(const std::filesystem::path& run) {
+  SqliteDatabase results(ResultsFile::path_beside(run), SqliteDatabase::Mode::kReadOnly);
+  return check_analyses(results).good;
 }
 
 std::string attested_by(const std::filesystem::path& run) {

@@ -36,47 +36,6 @@ void require_one_item(const std::vector<ComparedResult>& results, std::vector<st
   }
 }
 
-/// Whether all dwells of two records have the same means: a record and its copy in another form.
-bool same_readings(const RunRecord& first, const RunRecord& second) {
-  return !first.dwells.empty() &&
-         std::ranges::equal(first.dwells, second.dwells, [](const DwellRecord& a, const DwellRecord& b) {
-           return a.experiment == b.experiment && a.n == b.n && a.closing == b.closing && a.mean == b.mean &&
-                  a.u_mean == b.u_mean;
-         });
-}
-
-/// Whether two results are of one measurement. Different items of one loaded run are not.
-bool of_one_measurement(const ComparedResult& first, const ComparedResult& second) {
-  if (first.run && first.run == second.run) return first.item_of_run == second.item_of_run;
-  if (first.sha256 == second.sha256 && !first.sha256.empty()) return true;
-  const auto is_of_both = [&](const std::string& chain) {
-    return !chain.empty() && std::ranges::count(second.chains, chain) > 0;
-  };
-  if (std::ranges::any_of(first.chains, is_of_both)) return true;
-  if (!first.chains.empty() && !second.chains.empty()) return false;
-  return first.record && second.record && first.record->response_unit == second.record->response_unit &&
-         same_readings(*first.record, *second.record);
-}
-
-/// Refuses a measurement that is named twice: it agrees with itself, and the uncertainty of the mean would be
-/// too small.
-void require_different_measurements(const std::vector<ComparedResult>& results) {
-  std::vector<std::string> problems;
-  for (std::size_t i = 1; i < results.size(); ++i) {
-    const auto copied =
-        std::find_if(results.begin(), results.begin() + static_cast<std::ptrdiff_t>(i),
-                     [&](const ComparedResult& r) { return of_one_measurement(r, results[i]); });
-    if (copied == results.begin() + static_cast<std::ptrdiff_t>(i)) continue;
-    const bool items = copied->item_of_run != results[i].item_of_run;
-    problems.push_back(copied->file == results[i].file
-                           ? fmt::format("{} is named twice", results[i].file)
-                           : fmt::format("{} and {} hold the same {}", copied->file, results[i].file,
-                                         items ? "run, in two files" : "measurement"));
-  }
-  if (problems.empty()) return;
-  throw CompareError(fmt::format("{}; required: each measurement once", fmt::join(problems, "; ")));
-}
-
 /// Factors from the units of a record to those that it is compared in: sensitivities, then offsets.
 Eigen::Matrix<double, 12, 1> factors_of(const ComparedResult& result) {
   const double response = meaning_of_response_unit(result.record->response_unit).factor / result.unit.factor;
@@ -462,6 +421,16 @@ void note_formulas(const std::vector<ComparedResult>& results, std::vector<std::
                       result.file));
 }
 
+/// Notes how many results were not computed for this comparison.
+void note_stored(const std::vector<ComparedResult>& results, std::vector<std::string>& notes) {
+  const auto stored = std::ranges::count_if(results, &ComparedResult::is_stored);
+  if (stored > 0)
+    notes.push_back(
+        fmt::format("{} of {} results are those that this version of abcal stored with the runs (--refit "
+                    "computes them from the readings)",
+                    stored, results.size()));
+}
+
 /// Compares each result with the first, or with the first that is not an outlier.
 void compare_pairs(ResultsComparison& comparison) {
   std::size_t reference = 0;
@@ -498,6 +467,7 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
     comparison.notes.push_back(std::move(note));
   comparison.units = units_of_properties(comparison.results.front());
   note_formulas(comparison.results, comparison.notes);
+  note_stored(comparison.results, comparison.notes);
   comparison.shared_subtracted = options.shared_stage;
   const bool several = comparison.results.size() > 2 && !of_one_run;
   if (several) comparison.consistency = consistency_of(comparison);

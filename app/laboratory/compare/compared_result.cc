@@ -14,6 +14,7 @@
 #include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/load_record.h"
 #include "app/results/analysis/other_file.h"
+#include "app/results/analysis/stored_result.h"
 #include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/record/dwell_chain.h"
@@ -160,9 +161,16 @@ void convert_response(const ComparedResult& first, ComparedResult& result) {
 
 namespace {
 
-void identify(const std::filesystem::path& path, ComparedResult& result) {
-  result.sha256 = sha256_of_file(path);
-  if (RunFile::looks_like_run_file(path)) result.chains = {last_dwell_link(path)};
+/// All that tells one measurement from another before it is analysed.
+ComparedResult identified(const std::string& name, const std::filesystem::path& file) {
+  ComparedResult result;
+  std::error_code ignored;
+  result.file = name;
+  result.path = std::filesystem::weakly_canonical(file, ignored);
+  if (!std::filesystem::is_regular_file(file, ignored)) return result;  // load_items() refuses it.
+  result.sha256 = sha256_of_file(file);
+  if (RunFile::looks_like_run_file(file)) result.chains = {last_dwell_link(file)};
+  return result;
 }
 
 void take_result(const CalibrationResult& calibration, ComparedResult& result) {
@@ -171,31 +179,131 @@ void take_result(const CalibrationResult& calibration, ComparedResult& result) {
   set_values(calibration, result);
 }
 
-ComparedResult compared_certificate(const std::string& file) {
-  ComparedResult certified = read_certificate(file);
-  identify(file, certified);
-  return certified;
+/// A named file, before it is analysed.
+struct NamedResult {
+  NamedItem named;  ///< Item 0: all items.
+  bool has_runs = true;  ///< A run, a measurement or a table of readings.
+  ComparedResult identity;
+};
+
+NamedResult look_at(const std::string& name, int item, bool alone) {
+  NamedResult out{named_item(name), true, {}};
+  NamedItem& named = out.named;
+  const std::string file = named.file.string();
+  out.has_runs = !looks_like_xml(file) && !looks_like_covariance_table(file);
+  if (out.has_runs) {
+    if (named.item == 0) named.item = item;
+    const auto count = static_cast<int>(items_of_file(file));
+    const bool all = named.item == 0 && (count == 1 || alone);
+    if (!all && (named.item < 1 || named.item > count))
+      throw CompareError(
+          fmt::format("{}: {} has {} items; required: {}#1 to {}#{}, or this run alone, which compares its "
+                      "items with one another",
+                      name, file, count, file, file, count));
+  }
+  out.identity = identified(name, named.file);
+  out.identity.item_of_run = std::max(1, named.item);
+  return out;
 }
 
-ComparedResult compared_item(const std::string& file, std::shared_ptr<const AnalysedRun> run, int k) {
-  const AnalysedItem& item = run->item(k);
-  ComparedResult result;
+/// A certificate, or a table of quantities with their covariance.
+ComparedResult stated_result(const NamedResult& of) {
+  ComparedResult stated = looks_like_xml(of.named.file) ? read_certificate(of.named.file)
+                                                        : read_covariance_table(of.named.file);
+  stated.path = of.identity.path;
+  stated.sha256 = of.identity.sha256;
+  return stated;
+}
+
+/// A file and its results.
+struct LoadedFile {
+  std::shared_ptr<const AnalysedRun> run;
+  bool is_stored = false;
+};
+
+/// The run as its stored result describes it; without a run if a fit is required.
+LoadedFile stored_run(CheckedRun& run, const std::string& estimator) {
+  std::optional<CalibrationResult> result = stored_result(run, estimator);
+  if (!result) return {};
+  AnalysedRun analysed;
+  TrayItemResult& joint = analysed.joint.items.emplace_back();
+  joint.result = *result;
+  joint.in_common_fit = true;  // The fit of one item.
+  analysed.items.push_back({std::move(run.items.front()), {*std::move(result)}});
+  return {std::make_shared<const AnalysedRun>(std::move(analysed)), true};
+}
+
+LoadedFile load_file(const std::string& file, const std::string& asked, ResultSource source,
+                     const TableOptions& options) {
+  if (!RunFile::looks_like_run_file(file))
+    return {std::make_shared<const AnalysedRun>(analyse_file_by(file, asked, options)), false};
+  CheckedRun run = load_run(file).value();
+  const std::string estimator = asked.empty() ? declared_estimator(run.items.front().record).name : asked;
+  if (source == ResultSource::kStored)
+    if (LoadedFile stored = stored_run(run, estimator); stored.run) return stored;
+  return {std::make_shared<const AnalysedRun>(analyse_run(std::move(run.items), estimator)), false};
+}
+
+ComparedResult compared_item(const NamedResult& of, const LoadedFile& loaded, int k) {
+  const std::string file = of.named.file.string();
+  const AnalysedRun& run = *loaded.run;
+  const AnalysedItem& item = run.item(k);
+  ComparedResult result = of.identity;
   result.file = name_of_item(file, item.stored);
   result.kind = "CSV";
-  identify(file, result);
-  if (RunFile::looks_like_run_file(file) || !run->runs.empty()) describe_run(item.stored, result);
-  if (!run->runs.empty()) result.kind = "measurement";
-  for (const RunOfMeasurement& part : run->runs) result.chains.push_back(last_dwell_link(part.file));
+  if (RunFile::looks_like_run_file(file) || !run.runs.empty()) describe_run(item.stored, result);
+  if (!run.runs.empty()) result.kind = "measurement";
+  for (const RunOfMeasurement& part : run.runs) result.chains.push_back(last_dwell_link(part.file));
   take_result(item.results.front(), result);
-  result.run = std::move(run);
+  result.run = loaded.run;
   result.item_of_run = k;
+  result.is_stored = loaded.is_stored;
   if (result.estimator == "joint" && !result.of_common_fit())
     result.notes.push_back("not in the common fit of its run: " + result.joint().why_not);
   result.record = item.stored.record;
   return result;
 }
 
+/// Whether all dwells of two records have the same means: a record and its copy in another form.
+bool same_readings(const RunRecord& first, const RunRecord& second) {
+  return !first.dwells.empty() &&
+         std::ranges::equal(first.dwells, second.dwells, [](const DwellRecord& a, const DwellRecord& b) {
+           return a.experiment == b.experiment && a.n == b.n && a.closing == b.closing && a.mean == b.mean &&
+                  a.u_mean == b.u_mean;
+         });
+}
+
+/// Whether two results are of one measurement. Different items of one file are not.
+bool of_one_measurement(const ComparedResult& first, const ComparedResult& second) {
+  if (!first.path.empty() && first.path == second.path) return first.item_of_run == second.item_of_run;
+  if (first.sha256 == second.sha256 && !first.sha256.empty()) return true;
+  const auto is_of_both = [&](const std::string& chain) {
+    return !chain.empty() && std::ranges::count(second.chains, chain) > 0;
+  };
+  if (std::ranges::any_of(first.chains, is_of_both)) return true;
+  if (!first.chains.empty() && !second.chains.empty()) return false;
+  return first.record && second.record && first.record->response_unit == second.record->response_unit &&
+         same_readings(*first.record, *second.record);
+}
+
 }  // namespace
+
+void require_different_measurements(const std::vector<ComparedResult>& results) {
+  std::vector<std::string> problems;
+  for (std::size_t i = 1; i < results.size(); ++i) {
+    const auto copied =
+        std::find_if(results.begin(), results.begin() + static_cast<std::ptrdiff_t>(i),
+                     [&](const ComparedResult& r) { return of_one_measurement(r, results[i]); });
+    if (copied == results.begin() + static_cast<std::ptrdiff_t>(i)) continue;
+    const bool items = copied->item_of_run != results[i].item_of_run;
+    problems.push_back(copied->file == results[i].file
+                           ? fmt::format("{} is named twice", results[i].file)
+                           : fmt::format("{} and {} hold the same {}", copied->file, results[i].file,
+                                         items ? "run, in two files" : "measurement"));
+  }
+  if (problems.empty()) return;
+  throw CompareError(fmt::format("{}; required: each measurement once", fmt::join(problems, "; ")));
+}
 
 const TrayItemResult& ComparedResult::joint() const {
   return run->joint.items.at(static_cast<std::size_t>(item_of_run) - 1);
@@ -206,36 +314,26 @@ bool ComparedResult::of_common_fit() const {
 }
 
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
-                                          int item, const TableOptions& options) {
-  std::map<std::filesystem::path, std::shared_ptr<const AnalysedRun>> runs;
-  std::vector<ComparedResult> results;
+                                          ResultSource source, int item, const TableOptions& options) {
+  std::vector<NamedResult> files;
+  std::vector<ComparedResult> identities;
   for (const std::string& name : names) {
-    NamedItem named = named_item(name);
-    const std::string file = named.file.string();
-    if (looks_like_xml(file)) {
-      results.push_back(compared_certificate(file));
+    files.push_back(look_at(name, item, names.size() == 1));
+    identities.push_back(files.back().identity);
+  }
+  require_different_measurements(identities);
+  std::map<std::filesystem::path, LoadedFile> loaded;
+  std::vector<ComparedResult> results;
+  for (const NamedResult& file : files) {
+    if (!file.has_runs) {
+      results.push_back(stated_result(file));
       continue;
     }
-    if (looks_like_covariance_table(file)) {
-      results.push_back(read_covariance_table(file));
-      continue;
-    }
-    if (named.item == 0) named.item = item;
-    const auto count = static_cast<int>(items_of_file(file));
-    const bool all = named.item == 0 && (count == 1 || names.size() == 1);
-    if (!all && (named.item < 1 || named.item > count))
-      throw CompareError(
-          fmt::format("{}: {} has {} items; required: {}#1 to {}#{}, or this run alone, which compares its "
-                      "items with one another",
-                      name, file, count, file, file, count));
-    std::error_code ignored;
-    std::shared_ptr<const AnalysedRun>& run = runs[std::filesystem::weakly_canonical(file, ignored)];
-    if (!run)
-      run = std::make_shared<const AnalysedRun>(
-          analyse_file_by(file, estimator, RunFile::looks_like_run_file(file) ? TableOptions() : options));
-    for (const AnalysedItem& each : run->items)
-      if (all || each.stored.item == named.item)
-        results.push_back(compared_item(file, run, each.stored.item));
+    LoadedFile& of = loaded[file.identity.path];
+    if (!of.run) of = load_file(file.named.file.string(), estimator, source, options);
+    for (const AnalysedItem& each : of.run->items)
+      if (file.named.item == 0 || each.stored.item == file.named.item)
+        results.push_back(compared_item(file, of, each.stored.item));
   }
   return results;
 }

@@ -50,12 +50,14 @@ struct ComparedResult {
   Covariance12 output_covariance;         ///< For matrix and offset; valid only if `matrix` is present.
   std::optional<RunRecord> record;        ///< Record that it was computed from; absent for a certificate.
   /// Its run, and the number of its item, from 1; null for a certificate. Two results of one run have the
-  /// same run.
+  /// same run. Of a stored result it has what stored_result() gives.
   std::shared_ptr<const AnalysedRun> run;
   int item_of_run = 1;
+  bool is_stored = false;  ///< Its numbers are those stored with the run; the readings were not fitted again.
   std::vector<std::string> notes;
 
-  std::string sha256;  ///< SHA-256 of the bytes of the file.
+  std::filesystem::path path;  ///< The file, without links.
+  std::string sha256;          ///< SHA-256 of the bytes of the file.
   /// Last link of the chain of a run's dwells, of each run of a measurement: a copy of the run has it too,
   /// however its bytes lie. Empty: no run, or one of version 2.
   std::vector<std::string> chains;
@@ -80,18 +82,31 @@ class CompareError : public std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
+/// Refuses a measurement that is named twice: it agrees with itself, and the uncertainty of the mean would be
+/// too small. Results that are not analysed yet are compared by their files alone.
+/// @throws CompareError
+void require_different_measurements(const std::vector<ComparedResult>& results);
+
+/// Where the results of runs come from.
+enum class ResultSource {
+  kStored,  ///< As stored with the run, where stored_result() has it; else the readings.
+  kReadings,
+};
+
 /// Loads the named results: certificates, run files, CSVs of readings and tables of quantities with their
 /// covariance (read_covariance_table()), distinguished by their content; FILE#K is item
 /// K of a run with several (an existing file with this whole name takes precedence); one such run alone gives
-/// all its items. Each run is analysed once.
+/// all its items. A measurement that is named twice is refused before any is analysed; each run is analysed
+/// at most once.
 /// @param estimator  for runs and CSVs; empty: the one that each of them declares
 /// @param item  the item of each run that is named without #K, from 1; 0: the only one
 /// @param options  of the tables
 /// @throws as load_items() and read_certificate(); std::runtime_error for a record that gives no usable
 ///         result, with the reason; CompareError for a run of several items without #K if it is not alone,
-///         and for an item that it does not have
+///         and for an item that it does not have; as require_different_measurements()
 std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
-                                          int item = 0, const TableOptions& options = {});
+                                          ResultSource source, int item = 0,
+                                          const TableOptions& options = {});
 
 /// The estimator of a comparison where none is stated: empty, that each result declares; with a shared stage
 /// the published protocol's, for whose equations alone the common effect of a stage on two results is known.

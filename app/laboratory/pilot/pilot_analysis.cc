@@ -309,7 +309,7 @@ void take_link(PilotAnalysis& analysis) {
 
 ComparedResult read_pilot_result(const ComparisonProtocol& protocol, const std::string& participant,
                                  const std::filesystem::path& file) {
-  std::vector<ComparedResult> loaded = load_compared({file.string()}, {});
+  std::vector<ComparedResult> loaded = load_compared({file.string()}, {}, ResultSource::kReadings);
   std::vector<std::string> problems;
   if (loaded.size() != 1)
     throw KeyComparisonError(

@@ -6,12 +6,12 @@
 #include <charconv>
 #include <stdexcept>
 #include <system_error>
+#include <utility>
 
 #include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/other_file.h"
 #include "app/results/analysis/stage_record_use.h"
 #include "app/results/logs/log_table.h"
-#include "protocol/record/verify_run.h"
 
 namespace abcal {
 namespace {
@@ -87,20 +87,21 @@ LoadedRecord load_record(const std::filesystem::path& path, int item, const Tabl
   const bool is_run = is_run_file(named.file, options);
   named.item = chosen_item(named.file, named.item);
   if (!is_run) return {import_readings(named.file, options).record, std::nullopt};
-  require_as_stored(named.file);
-  StoredRun run = RunFile::load(named.file, named.item);
+  StoredRun run = std::move(read_as_stored(named.file, named.item).items.front());
   use_stored_stage_record(run);
   RunRecord record = run.record;
   return {std::move(record), std::move(run)};
 }
 
+std::optional<CheckedRun> load_run(const std::filesystem::path& path, const TableOptions& options) {
+  if (!is_run_file(path, options)) return std::nullopt;
+  CheckedRun run = read_as_stored(path);
+  for (StoredRun& item : run.items) use_stored_stage_record(item);
+  return run;
+}
+
 std::vector<StoredRun> load_items(const std::filesystem::path& path, const TableOptions& options) {
-  if (is_run_file(path, options)) {
-    require_as_stored(path);
-    std::vector<StoredRun> runs = RunFile::load_items(path);
-    for (StoredRun& run : runs) use_stored_stage_record(run);
-    return runs;
-  }
+  if (std::optional<CheckedRun> run = load_run(path, options)) return std::move(run->items);
   std::vector<StoredRun> items(1);
   items.front().record = import_readings(path, options).record;
   items.front().header.items.resize(1);

@@ -8,6 +8,7 @@
 #include "protocol/record/import_table.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_record.h"
+#include "protocol/record/verify_run.h"
 
 namespace abcal {
 
@@ -43,9 +44,14 @@ int shown_item(const StoredRun& run, int asked);
 /// @param item  from 1; 0: as the path says, or the only one
 /// @param options  of a table
 /// @throws RunFileError, TableError, std::runtime_error, each with the problem of the file; RunFileError also
-/// for a run that was changed (require_as_stored()).
+/// for a run that was changed (read_as_stored()).
 /// @throws std::invalid_argument  as chosen_item(); options of a table for a run file
 LoadedRecord load_record(const std::filesystem::path& path, int item = 0, const TableOptions& options = {});
+
+/// The items of a run file in their order, with the checks that were made while it was read; nullopt for a
+/// table.
+/// @throws as load_record()
+std::optional<CheckedRun> load_run(const std::filesystem::path& path, const TableOptions& options = {});
 
 /// The items of a run file in their order. A table is a run of one item of which nothing but the record is
 /// known.

@@ -198,18 +198,19 @@ std::string missing_analyses(const StoredRun& stored, const std::vector<Calibrat
 
 /// The stored analyses of the item of `stored`, computed again.
 IntegrityCheck check_results(const std::filesystem::path& run, const StoredRun& stored_run,
-                             const std::vector<CalibrationResult>& results) {
+                             const std::vector<CalibrationResult>& results,
+                             const std::vector<ParsedAnalysis>& analyses) {
   // The same version gives the same numbers except for rounding. Another version may have other methods, so
   // that its analyses are only reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
   std::size_t same = 0, other = 0;
   std::set<std::string> found;
   double largest_of_other = 0.0;
-  for (const StoredAnalysis& stored : stored_analyses(run)) {
+  for (const auto& [stored, json] : analyses) {
+    const std::string& estimator = stored.estimator;
     const auto now = std::find_if(results.begin(), results.end(), [&](const CalibrationResult& result) {
-      return result.estimator == stored.estimator;
+      return result.estimator == estimator;
     });
-    const nlohmann::json json = nlohmann::json::parse(stored.result_json, nullptr, false);
     if (now == results.end() || json.is_discarded() || json.value("item", 1) != stored_run.item) continue;
     found.insert(stored.estimator);
     const Distance distance = distance_between(json, nlohmann::json(result_json(*now)));
@@ -238,6 +239,15 @@ IntegrityCheck check_results(const std::filesystem::path& run, const StoredRun& 
 
 }  // namespace
 
+std::vector<ParsedAnalysis> parsed_analyses(const std::filesystem::path& run) {
+  std::vector<ParsedAnalysis> parsed;
+  for (StoredAnalysis& stored : stored_analyses(run)) {
+    nlohmann::json json = nlohmann::json::parse(stored.result_json, nullptr, false);
+    parsed.push_back({std::move(stored), std::move(json)});
+  }
+  return parsed;
+}
+
 void keep_analysis(ResultsFile& results, const std::string& utc, const CalibrationResult& result,
                    const StoredRun& run) {
   nlohmann::ordered_json json = result_json(result);
@@ -246,17 +256,18 @@ void keep_analysis(ResultsFile& results, const std::string& utc, const Calibrati
 }
 
 std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
-                                      const BenchConfig* bench,
-                                      const std::vector<CalibrationResult>& results) {
+                                      const BenchConfig* bench, const std::vector<CalibrationResult>& results,
+                                      const std::vector<ParsedAnalysis>& analyses) {
   std::vector<IntegrityCheck> checks{check_plan(stored, bench)};
-  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, stored, results));
+  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, stored, results, analyses));
   return checks;
 }
 
 std::vector<IntegrityCheck> check_analyses(const std::filesystem::path& path, const AnalysedRun& run) {
   std::vector<IntegrityCheck> checks;
+  const std::vector<ParsedAnalysis> analyses = parsed_analyses(path);
   for (const AnalysedItem& item : run.items) {
-    checks.push_back(check_results(path, item.stored, item.results));
+    checks.push_back(check_results(path, item.stored, item.results, analyses));
     checks.back().what = about_item(item.stored, checks.back().what, ", ");
   }
   return checks;
@@ -283,12 +294,15 @@ std::vector<IntegrityCheck> verify_measurement(const std::filesystem::path& path
 
 std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run) {
   refuse_other_file(run, kRunOnly);
-  std::vector<IntegrityCheck> checks = verify_run(run);
-  const AnalysedRun analysed = analyse_run(RunFile::load_items(run));
+  CheckedRun checked = read_and_check(run);
+  std::vector<IntegrityCheck> checks = verify_run(checked);
+  const std::vector<ParsedAnalysis> analyses =
+      checked.complete() ? parsed_analyses(run) : std::vector<ParsedAnalysis>();
+  const AnalysedRun analysed = analyse_run(std::move(checked.items));
   const std::optional<BenchConfig> bench = bench_of(analysed.items.front().stored);
   const BenchConfig* known = bench ? &*bench : nullptr;
   for (const AnalysedItem& item : analysed.items) {
-    for (IntegrityCheck& check : recompute(run, item.stored, known, item.results)) {
+    for (IntegrityCheck& check : recompute(run, item.stored, known, item.results, analyses)) {
       check.what = about_item(item.stored, check.what, ", ");
       checks.push_back(std::move(check));
     }

@@ -109,6 +109,7 @@ struct GatheredRun {
   std::string created_utc;
   bool is_run_file = false;
   std::vector<IntegrityCheck> integrity;  ///< As verify_run() finds it.
+  std::vector<ParsedAnalysis> analyses;   ///< Those stored with a run file.
   std::optional<std::string> sha256;      ///< As in ReportData.
   std::shared_ptr<const AnalysedRun> all;
 };
@@ -155,8 +156,8 @@ ReportData gather(const GatheredRun& gathered, const AnalysedItem& item) {
   data.results = item.results;
   data.estimator = item.result().estimator;
   if (gathered.is_run_file) {
-    for (IntegrityCheck& check :
-         recompute(data.path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
+    for (IntegrityCheck& check : recompute(data.path, *data.run, data.bench ? &*data.bench : nullptr,
+                                           data.results, gathered.analyses))
       data.integrity.push_back(std::move(check));
   }
   if (const CalibrationResult& result = data.result(); result.verdict != Verdict::kNotUsable &&
@@ -184,10 +185,18 @@ std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::U
   gathered.path = path;
   gathered.created_utc = format_utc(now);
   gathered.is_run_file = RunFile::looks_like_run_file(path);
-  gathered.all = std::make_shared<const AnalysedRun>(analyse_file(path, {}, options));
-  if (gathered.is_run_file) gathered.integrity = verify_run(path);
+  if (gathered.is_run_file) {
+    CheckedRun run = load_run(path, options).value();
+    gathered.integrity = verify_run(run);
+    gathered.sha256 = run.sha256;
+    if (run.complete()) gathered.analyses = parsed_analyses(path);
+    gathered.all = std::make_shared<const AnalysedRun>(analyse_run(std::move(run.items)));
+  } else {
+    gathered.all = std::make_shared<const AnalysedRun>(analyse_file(path, {}, options));
+  }
   if (!gathered.all->runs.empty()) gathered.integrity = verify_measurement(path, *gathered.all);
-  if (!gathered.is_run_file || gathered.all->items.front().stored.state == RunState::kComplete)
+  if (!gathered.sha256 &&
+      (!gathered.is_run_file || gathered.all->items.front().stored.state == RunState::kComplete))
     gathered.sha256 = sha256_of_file(path);
   std::vector<ReportData> items;
   for (const AnalysedItem& each : gathered.all->items)

@@ -65,8 +65,7 @@ std::vector<std::vector<TemperaturePoint>> points_of_series(const std::vector<st
   std::vector<std::vector<TemperaturePoint>> points;
   for (std::size_t n = 0; n < paths.size(); ++n) {
     const std::filesystem::path& path = paths[n];
-    require_as_stored(path);
-    std::vector<StoredRun> items = RunFile::load_items(path);
+    std::vector<StoredRun> items = read_as_stored(path).items;
     auto place = place_in_series(items.front().header);
     if (!place)
       throw std::invalid_argument(path.string() + ": is no run of a series over temperature (no label " +

@@ -155,19 +155,18 @@ TEST_F(VerifyTest, ALogThatAnotherProgramPutsBesideAClosedRunIsNotRead) {
     }
     return std::string();
   };
-  for (const std::string& refused :
-       {words([&] { (void)RunFile::load(path); }), words([&] { verify_run(path); }),
-        words([&] { require_as_stored(path); })})
+  for (const std::string& refused : {words([&] { (void)RunFile::load(path); }),
+                                     words([&] { verify_run(path); }), words([&] { read_as_stored(path); })})
     EXPECT_THAT(refused, HasSubstr("a.run-wal: is not of "));
 }
 
 TEST_F(VerifyTest, ARunThatWasChangedGivesNoResult) {
-  EXPECT_NO_THROW(require_as_stored(path));
+  EXPECT_NO_THROW(read_as_stored(path));
   make_writable(path);
   SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute("update environment set utc = 'x'; vacuum");
-  EXPECT_THROW(require_as_stored(path), RunFileError);
+  EXPECT_THROW(read_as_stored(path), RunFileError);
   std::filesystem::remove(ResultsFile::path_beside(path));
-  EXPECT_NO_THROW(require_as_stored(path)) << "nothing names another hash";
+  EXPECT_NO_THROW(read_as_stored(path)) << "nothing names another hash";
 }
 
 TEST_F(VerifyTest, NothingIsWrittenThroughALink) {
