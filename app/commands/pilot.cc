@@ -14,6 +14,7 @@
 #include "app/laboratory/pilot/comparison_chain.h"
 #include "app/laboratory/pilot/comparison_protocol.h"
 #include "app/laboratory/pilot/pilot_analysis.h"
+#include "app/laboratory/pilot/pilot_dcc.h"
 #include "app/laboratory/pilot/pilot_document.h"
 #include "app/laboratory/register/login.h"
 #include "app/laboratory/register/register.h"
@@ -31,6 +32,7 @@ constexpr const char* kProtocolWords = "protocol of the comparison (TOML)";
 
 struct AddOptions {
   std::string protocol, file, participant, sha256, replace, withdraw, statement, protocol_change;
+  bool agree = false;
 };
 
 /// Why a certificate does not hold any more, from the register of this laboratory, if one is configured.
@@ -47,9 +49,12 @@ CertificateDoubt doubt_of_register(Clock::UtcTime now) {
   };
 }
 
-PilotAnalysis analysed_comparison(const std::string& file) {
+PilotAnalysis analysed_comparison(const std::string& file, PilotDraft draft) {
   const ComparisonProtocol protocol = read_comparison_protocol(file);
-  return analyse_comparison(protocol, ComparisonChain(protocol), doubt_of_register(RealClock().utc_now()));
+  const ComparisonChain chain(protocol);
+  PilotAnalysis analysis = analyse_comparison(protocol, chain, doubt_of_register(RealClock().utc_now()));
+  if (draft == PilotDraft::kB) chain.require_agreement();
+  return analysis;
 }
 
 /// The SHA-256 of a result, and its file if that is there.
@@ -89,6 +94,10 @@ void add_to_comparison(const AddOptions& options) {
   } else if (!options.statement.empty()) {
     chain.add_statement(options.participant, options.statement, now);
     print_result("{}: its statement stands in the report.\n", options.participant);
+  } else if (options.agree) {
+    chain.agree(options.participant, now);
+    print_result("{}: agrees with Draft A.\n", options.participant);
+    return;
   } else {
     const std::string sha256 = hash_to_add(options, protocol);
     const int number =
@@ -135,12 +144,15 @@ void add_pilot_add(CLI::App& parent) {
           ->type_name("REASON");
   CLI::Option* statement =
       command->add_option("--statement", options->statement, "statement of the participant for the report");
+  CLI::Option* agree = command->add_flag("--agree", options->agree,
+                                         "the participant has read Draft A and agrees with it, for Draft B");
   CLI::Option* change = command
                             ->add_option("--protocol-change", options->protocol_change,
                                          "reason why the protocol, as it is now, counts from now on")
                             ->type_name("REASON");
   withdraw->excludes(replace)->excludes(statement)->excludes(change);
   statement->excludes(replace)->excludes(change);
+  agree->excludes(replace)->excludes(withdraw)->excludes(statement)->excludes(change);
   command->callback([options] { add_to_comparison(*options); });
 }
 
@@ -178,52 +190,105 @@ void add_pilot_analyse(CLI::App& parent, int& exit_code) {
   command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.pilot/1");
   command->callback([options, &exit_code] {
-    const PilotAnalysis analysis = analysed_comparison(options->protocol);
+    const PilotAnalysis analysis = analysed_comparison(options->protocol, PilotDraft::kA);
     if (options->json) {
       print_result("{}\n", pilot_json(analysis).dump(2));
     } else {
-      print_result("{}", document_text(pilot_document(analysis, format_utc(RealClock().utc_now())), stdout));
+      const std::string now = format_utc(RealClock().utc_now());
+      print_result("{}", document_text(pilot_document(analysis, PilotDraft::kA, now), stdout));
     }
     exit_code = analysis.agree() ? kExitDone : kExitFailed;
   });
 }
 
+struct ReportOptions {
+  std::string protocol, draft = "A", html, pdf, xml, laboratory, number, approved_by;
+  bool force = false;
+
+  std::vector<RequestedOutput> outputs() const {
+    std::vector<RequestedOutput> list;
+    if (!html.empty()) list.push_back({"--html", html});
+    if (!pdf.empty()) list.push_back({"--pdf", pdf});
+    if (!xml.empty()) list.push_back({"--xml", xml});
+    return list;
+  }
+};
+
+/// The facts of the certificate, or everything that is missing.
+std::optional<PilotCertificate> facts_of_certificate(const ReportOptions& options, PilotDraft draft,
+                                                     Clock::UtcTime now) {
+  const bool any = !options.laboratory.empty() || !options.number.empty() || !options.approved_by.empty();
+  if (options.xml.empty()) {
+    if (any)
+      throw std::invalid_argument(
+          "--laboratory, --number and --approved-by are of a certificate; required: --xml FILE");
+    return std::nullopt;
+  }
+  if (draft != PilotDraft::kB || options.laboratory.empty() || options.number.empty() ||
+      options.approved_by.empty())
+    throw std::invalid_argument(
+        "--xml writes the certificate of what all agreed with; required: --draft B, --laboratory FILE, "
+        "--number "
+        "NUMBER and --approved-by NAME");
+  ReadLaboratoryFile read = read_laboratory_file(options.laboratory);
+  if (!read.problems.empty()) throw LaboratoryFileError(options.laboratory, read.problems);
+  return PilotCertificate{.laboratory = std::move(read.file),
+                          .number = options.number,
+                          .approved_by = options.approved_by,
+                          .date = parse_date(format_utc(now)).value()};
+}
+
+void report_comparison(const ReportOptions& options) {
+  const PilotDraft draft = kPilotDrafts.value(options.draft).value();
+  const Clock::UtcTime now = RealClock().utc_now();
+  const std::vector<RequestedOutput> outputs = options.outputs();
+  const std::optional<PilotCertificate> facts = facts_of_certificate(options, draft, now);
+  require_writable(outputs, {options.protocol}, options.force);
+  const PilotAnalysis analysis = analysed_comparison(options.protocol, draft);
+  const Document document = pilot_document(analysis, draft, format_utc(now));
+  if (outputs.empty()) print_result("{}", document_text(document, stdout));
+  if (facts) {
+    const DccSchema schema(program_schemas());
+    OutputFile(options.xml).write(pilot_dcc(analysis, *facts, &schema));
+  }
+  if (!options.html.empty()) OutputFile(options.html).write(document_html(document));
+  if (!options.pdf.empty()) {
+    OutputFile file(options.pdf);
+    write_pdf(document, file.temporary(), std::nullopt);
+    file.commit();
+  }
+  for (const RequestedOutput& output : outputs)
+    print_result("{} written: {}\n", output.option.substr(2),
+                 std::filesystem::absolute(output.path).string());
+}
+
 void add_pilot_report(CLI::App& parent) {
-  struct Options {
-    std::string protocol, html, pdf;
-    bool force = false;
-  };
-  auto options = std::make_shared<Options>();
-  CLI::App* command = parent.add_subcommand("report", "Draft A with figures and matrices: HTML, PDF");
+  auto options = std::make_shared<ReportOptions>();
+  CLI::App* command = parent.add_subcommand(
+      "report",
+      "Draft A or B with figures and matrices (HTML, PDF; else as text), and the certificate (DCC XML)");
   command->add_option("PROTOCOL", options->protocol, kProtocolWords)->required();
+  command
+      ->add_option("--draft", options->draft,
+                   "A: for the participants; B: what all agreed with (abcal pilot add --agree)")
+      ->check(CLI::IsMember(kPilotDrafts.all()))
+      ->capture_default_str();
   command->add_option("--html", options->html, "write this page");
   command->add_option("--pdf", options->pdf, "write this PDF");
+  command->add_option("--xml", options->xml, "write this certificate of the result (DCC XML), with Draft B");
+  command->add_option("--laboratory", options->laboratory,
+                      "laboratory file of the pilot, for the certificate");
+  command->add_option("--number", options->number, "number of the certificate");
+  command->add_option("--approved-by", options->approved_by, "person of the laboratory file who approves it");
   command->add_flag("--force", options->force, "overwrite existing files");
-  command->callback([options] {
-    std::vector<RequestedOutput> outputs;
-    if (!options->html.empty()) outputs.push_back({"--html", options->html});
-    if (!options->pdf.empty()) outputs.push_back({"--pdf", options->pdf});
-    if (outputs.empty()) throw std::invalid_argument("required: --html FILE or --pdf FILE, or both");
-    require_writable(outputs, {options->protocol}, options->force);
-    const PilotAnalysis analysis = analysed_comparison(options->protocol);
-    const Document document = pilot_document(analysis, format_utc(RealClock().utc_now()));
-    if (!options->html.empty()) OutputFile(options->html).write(document_html(document));
-    if (!options->pdf.empty()) {
-      OutputFile file(options->pdf);
-      write_pdf(document, file.temporary(), std::nullopt);
-      file.commit();
-    }
-    for (const RequestedOutput& output : outputs)
-      print_result("{} written: {}\n", output.option.substr(2),
-                   std::filesystem::absolute(output.path).string());
-  });
+  command->callback([options] { report_comparison(*options); });
 }
 
 }  // namespace
 
 CLI::App* add_pilot(CLI::App& parent, int& exit_code) {
   CLI::App* command = parent.add_subcommand(
-      "pilot", "A comparison of laboratories: protocol, blind results, reference value, Draft A");
+      "pilot", "A comparison of laboratories: protocol, blind results, reference value, drafts");
   command->require_subcommand(1);
   add_pilot_init(*command);
   add_pilot_add(*command);

@@ -106,20 +106,6 @@ void add_items(XmlElement& administrative, const Certificate& certificate) {
   add_item_quantities(item, words, data);
 }
 
-void add_person(XmlElement& persons, const LaboratoryFile& laboratory, const std::string& name,
-                const std::string& part, bool main_signer) {
-  const auto found = std::find_if(laboratory.persons.begin(), laboratory.persons.end(),
-                                  [&](const Person& person) { return person.name == name; });
-  XmlElement responsible = persons.add("dcc:respPerson");
-  XmlElement person = responsible.add("dcc:person");
-  add_name(person, "dcc:name", name);
-  if (found != laboratory.persons.end()) add_line(person, "dcc:eMail", found->email);
-  std::string role = part;
-  if (found != laboratory.persons.end()) role += ", " + found->role;
-  add_line(responsible, "dcc:role", role);
-  responsible.add("dcc:mainSigner", main_signer ? "true" : "false");
-}
-
 void add_persons(XmlElement& administrative, const Certificate& certificate) {
   const Words& words = certificate.words;
   XmlElement persons = administrative.add("dcc:respPersons");
@@ -152,30 +138,53 @@ void add_statement(XmlElement& statements, const Words& words, const Statement& 
 
 }  // namespace
 
-void add_administrative_data(XmlElement& root, const Certificate& certificate) {
-  XmlElement administrative = root.add("dcc:administrativeData");
-  XmlElement software = administrative.add("dcc:dccSoftware");
-  add_software(software, certificate.words, "abcal", certificate.program_version);
+void add_person(XmlElement& persons, const LaboratoryFile& laboratory, const std::string& name,
+                const std::string& part, bool main_signer) {
+  const auto found = std::find_if(laboratory.persons.begin(), laboratory.persons.end(),
+                                  [&](const Person& person) { return person.name == name; });
+  XmlElement responsible = persons.add("dcc:respPerson");
+  XmlElement person = responsible.add("dcc:person");
+  add_name(person, "dcc:name", name);
+  if (found != laboratory.persons.end()) add_line(person, "dcc:eMail", found->email);
+  std::string role = part;
+  if (found != laboratory.persons.end()) role += ", " + found->role;
+  add_line(responsible, "dcc:role", role);
+  responsible.add("dcc:mainSigner", main_signer ? "true" : "false");
+}
 
+void add_software_and_definitions(XmlElement& administrative, const Words& words,
+                                  const std::string& program_version) {
+  XmlElement software = administrative.add("dcc:dccSoftware");
+  add_software(software, words, "abcal", program_version);
   XmlElement definition = administrative.add("dcc:refTypeDefinitions").add("dcc:refTypeDefinition");
   add_words(definition, "dcc:name",
-            certificate.words("Triaxial accelerometers calibrated by rotations in gravity (ABC protocol)"));
+            words("Triaxial accelerometers calibrated by rotations in gravity (ABC protocol)"));
   definition.add("dcc:namespace", "abc");
   definition.add("dcc:link", "https://doi.org/10.6028/jres.126.038");
+}
 
+void add_laboratory(XmlElement& administrative, const Words& words, const Laboratory& laboratory) {
+  XmlElement element = administrative.add("dcc:calibrationLaboratory");
+  add_line(element, "dcc:calibrationLaboratoryCode", laboratory.accreditation);
+  XmlElement contact = element.add("dcc:contact");
+  XmlElement location = add_contact_lines(contact, words, laboratory.contact);
+  add_coordinates(location, laboratory);
+}
+
+void add_customer(XmlElement& administrative, const Words& words, const Contact& customer) {
+  XmlElement element = administrative.add("dcc:customer");
+  add_contact_lines(element, words, customer);
+}
+
+void add_administrative_data(XmlElement& root, const Certificate& certificate) {
+  XmlElement administrative = root.add("dcc:administrativeData");
+  add_software_and_definitions(administrative, certificate.words, certificate.program_version);
   add_core_data(administrative, certificate);
   add_items(administrative, certificate);
 
-  const Laboratory& from = certificate.laboratory.laboratory;
-  XmlElement laboratory = administrative.add("dcc:calibrationLaboratory");
-  add_line(laboratory, "dcc:calibrationLaboratoryCode", from.accreditation);
-  XmlElement contact = laboratory.add("dcc:contact");
-  XmlElement location = add_contact_lines(contact, certificate.words, from.contact);
-  add_coordinates(location, from);
-
+  add_laboratory(administrative, certificate.words, certificate.laboratory.laboratory);
   add_persons(administrative, certificate);
-  XmlElement customer = administrative.add("dcc:customer");
-  add_contact_lines(customer, certificate.words, certificate.laboratory.customer);
+  add_customer(administrative, certificate.words, certificate.laboratory.customer);
   XmlElement statements = administrative.add("dcc:statements");
   for (const Statement& statement : statements_of(certificate))
     add_statement(statements, certificate.words, statement, certificate.laboratory.customer);

@@ -4,11 +4,10 @@
 #include "app/laboratory/certificate/dcc_results.h"
 
 namespace abcal {
-namespace {
 
-XmlElement root_of(xmlDoc* document) {
-  xmlNode* node = xmlNewDocNode(document, nullptr, as_xml("digitalCalibrationCertificate"), nullptr);
-  xmlDocSetRootElement(document, node);
+XmlElement dcc_root(const XmlDocument& document) {
+  xmlNode* node = xmlNewDocNode(document.get(), nullptr, as_xml("digitalCalibrationCertificate"), nullptr);
+  xmlDocSetRootElement(document.get(), node);
   xmlSetNs(node, xmlNewNs(node, as_xml("https://ptb.de/dcc"), as_xml("dcc")));
   xmlNewNs(node, as_xml("https://ptb.de/si"), as_xml("si"));
   xmlNs* instance = xmlNewNs(node, as_xml("http://www.w3.org/2001/XMLSchema-instance"), as_xml("xsi"));
@@ -18,11 +17,9 @@ XmlElement root_of(xmlDoc* document) {
   return XmlElement(node);
 }
 
-}  // namespace
-
 XmlDocument dcc_document(const Certificate& certificate) {
   XmlDocument document(xmlNewDoc(as_xml("1.0")));
-  XmlElement root = root_of(document.get());
+  XmlElement root = dcc_root(document);
   add_administrative_data(root, certificate);
   add_measurement_results(root, certificate);
   return document;

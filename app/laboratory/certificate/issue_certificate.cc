@@ -15,18 +15,23 @@ void add(std::vector<Problem>& problems, const std::vector<DccProblem>& found, c
 
 }  // namespace
 
+std::vector<Problem> problems_of_xml(const XmlDocument& document, const DccSchema* schema) {
+  std::vector<Problem> problems;
+  add(problems, check_business_rules(document), "the business rules of the DCC");
+  if (schema != nullptr) add(problems, schema->check(document), "the schema of DCC 3.3.0");
+  return problems;
+}
+
 std::string checked_xml(const Certificate& certificate, const DccSchema* schema) {
+  const std::string source = certificate.run.data.path.string();
   XmlDocument document;
   try {
     document = dcc_document(certificate);
   } catch (const NumberNotFinite& error) {
-    throw CertificateRefused(certificate.run.data.path.string(),
-                             {{"results", error.what(), "finite numbers"}});
+    throw CertificateRefused(source, {{"results", error.what(), "finite numbers"}});
   }
-  std::vector<Problem> problems;
-  add(problems, check_business_rules(document), "the business rules of the DCC");
-  if (schema != nullptr) add(problems, schema->check(document), "the schema of DCC 3.3.0");
-  if (!problems.empty()) throw CertificateRefused(certificate.run.data.path.string(), std::move(problems));
+  std::vector<Problem> problems = problems_of_xml(document, schema);
+  if (!problems.empty()) throw CertificateRefused(source, std::move(problems));
   return xml_text(document);
 }
 

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <sys/file.h>
 
 #include <algorithm>
@@ -95,6 +96,10 @@ std::size_t ComparisonChain::committed() const {
 
 void ComparisonChain::apply(const ChainEntry& entry) {
   if (entry.act == "protocol") accepted_ = entry.sha256;
+  if (entry.act == "agree")
+    agreed_.insert(entry.participant);
+  else if (entry.act != "statement")
+    agreed_.clear();
   if (entry.measurement == 0) return;
   MeasurementState& state = states_.at(static_cast<std::size_t>(entry.measurement) - 1);
   if (entry.act == "withdraw") {
@@ -238,6 +243,43 @@ void ComparisonChain::add_statement(const std::string& participant, const std::s
                                     Clock::UtcTime now) {
   require_known(participant);
   append({.act = "statement", .participant = participant, .text = text}, now);
+}
+
+void ComparisonChain::agree(const std::string& participant, Clock::UtcTime now) {
+  require_known(participant);
+  require_protocol();
+  if (!complete())
+    throw ChainError(
+        fmt::format("{}: {} of {} results are committed, so that there is no Draft A to agree with; "
+                    "required: all results",
+                    protocol_.path, committed(), states_.size()));
+  const std::vector<std::string> waiting = not_agreed();
+  if (std::ranges::find(waiting, participant) == waiting.end())
+    throw ChainError(participant + (agreed_.contains(participant) ? ": has agreed already"
+                                                                  : ": has no result that counts"));
+  append({.act = "agree", .participant = participant}, now);
+}
+
+std::vector<std::string> ComparisonChain::not_agreed() const {
+  std::vector<std::string> names;
+  for (const ProtocolParticipant& one : protocol_.participants) {
+    bool takes_part = false;
+    for (std::size_t k = 0; k < states_.size(); ++k)
+      takes_part =
+          takes_part || (protocol_.schedule[k].participant == one.name && states_[k].withdrawn.empty());
+    if (takes_part && !agreed_.contains(one.name)) names.push_back(one.name);
+  }
+  return names;
+}
+
+void ComparisonChain::require_agreement() const {
+  const std::vector<std::string> names = not_agreed();
+  if (!names.empty())
+    throw ChainError(
+        fmt::format("{0}: Draft B needs the agreement of all participants with Draft A; missing: {1}; "
+                    "required: `abcal pilot "
+                    "add {0} --participant NAME --agree` for each, when it has read Draft A",
+                    protocol_.path, fmt::join(names, ", ")));
 }
 
 void ComparisonChain::accept_protocol(const std::string& reason, Clock::UtcTime now) {

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -14,8 +15,8 @@ namespace abcal {
 /// An act of a comparison.
 struct ChainEntry {
   /// "protocol": it was taken as agreed, or changed; "commit": a result by its SHA-256; "open": the file of a
-  /// committed result; "replace": another result in place of a committed one; "withdraw"; "statement" of a
-  /// participant.
+  /// committed result; "replace": another result in place of a committed one; "withdraw"; "agree" and
+  /// "statement" of a participant.
   std::string act{};
   std::string utc{};
   std::string participant{};  ///< Empty for "protocol".
@@ -73,6 +74,13 @@ class ComparisonChain {
   /// A participant's results do not count any more.
   void withdraw(const std::string& participant, const std::string& reason, Clock::UtcTime now);
   void add_statement(const std::string& participant, const std::string& text, Clock::UtcTime now);
+  /// A participant agrees with Draft A. A later change of a result or of the protocol voids all agreements.
+  /// @throws ChainError results are missing, or all of the participant are withdrawn
+  void agree(const std::string& participant, Clock::UtcTime now);
+  /// Participants with a result that have not agreed with Draft A as it is now.
+  std::vector<std::string> not_agreed() const;
+  /// @throws ChainError naming them, if there are any
+  void require_agreement() const;
   /// The protocol as it is now counts, with a reason.
   void accept_protocol(const std::string& reason, Clock::UtcTime now);
 
@@ -96,6 +104,7 @@ class ComparisonChain {
   std::vector<ChainEntry> entries_;
   std::vector<MeasurementState> states_;
   std::string accepted_;  ///< SHA-256 of the protocol; empty: none yet.
+  std::set<std::string> agreed_;
 };
 
 }  // namespace abcal

@@ -197,6 +197,40 @@ double chi2_of(const VectorXd& differences, const MatrixXd& covariance) {
   return scaled.dot(Eigen::LDLT<MatrixXd>(unit.asDiagonal() * covariance * unit.asDiagonal()).solve(scaled));
 }
 
+/// The mean of the participants that are chosen, without participant i.
+ReferenceValue mean_of_others(const ParticipantResults& results, Index i,
+                              const std::vector<std::size_t>& left_out) {
+  ReferenceValue others;
+  others.contributes = everything(results);
+  for (const std::size_t out : left_out) others.contributes.row(static_cast<Index>(out)).setZero();
+  others.contributes.row(i).setZero();
+  take_mean(results, others);
+  return others;
+}
+
+/// What a participant's difference from the mean of the others tells of its errors, if only one quantity has
+/// one.
+struct SingleErrors {
+  VectorXd deviates;  ///< Of each quantity the error in units of its standard uncertainty.
+  VectorXd u;         ///< Standard uncertainty of that error.
+};
+SingleErrors single_errors(const VectorXd& difference, const MatrixXd& covariance) {
+  const VectorXd unit = covariance.diagonal().cwiseSqrt().cwiseInverse();
+  const Eigen::LDLT<MatrixXd> factor(unit.asDiagonal() * covariance * unit.asDiagonal());
+  const VectorXd scaled = factor.solve(unit.cwiseProduct(difference));
+  const VectorXd weight = factor.solve(MatrixXd::Identity(unit.size(), unit.size())).diagonal().cwiseSqrt();
+  return {scaled.cwiseQuotient(weight), unit.cwiseProduct(weight).cwiseInverse()};
+}
+
+/// Limits of the two tests that share a level.
+struct NamingLimits {
+  double joint_probability, deviate;
+};
+NamingLimits naming_limits(const ParticipantResults& results, double level) {
+  const double of_each = 0.5 * level / static_cast<double>(results.participants());
+  return {of_each, normal_quantile(1.0 - 0.5 * of_each / static_cast<double>(results.quantities))};
+}
+
 }  // namespace
 
 double ComparisonConsistency::birge(std::size_t quantity) const {
@@ -274,24 +308,41 @@ std::vector<ClaimTest> test_claims(const ParticipantResults& results, const Refe
   return claims;
 }
 
-std::vector<std::size_t> faulty_participants(const ParticipantResults& results, double level) {
+std::vector<FaultyParticipant> faulty_participants(const ParticipantResults& results, double level) {
   require_participants(results);
-  const Index n = results.participants();
-  std::vector<std::size_t> faulty;
+  const Index p = results.quantities, n = results.participants();
+  std::vector<FaultyParticipant> faulty;
   if (n < 3) return faulty;
-  const double of_each = level / static_cast<double>(n);
   const ConsistentSubset subset = largest_consistent_subset(listed(results), results.covariance, level);
   if (!subset.found) return faulty;
+  const NamingLimits limits = naming_limits(results, level);
   for (Index i = 0; i < n; ++i) {
-    ReferenceValue others;
-    others.contributes = everything(results);
-    for (const std::size_t out : subset.outliers) others.contributes.row(static_cast<Index>(out)).setZero();
-    others.contributes.row(i).setZero();
-    take_mean(results, others);
-    if (test_claims(results, others)[static_cast<std::size_t>(i)].joint.probability < of_each)
-      faulty.push_back(static_cast<std::size_t>(i));
+    const ReferenceValue others = mean_of_others(results, i, subset.outliers);
+    const VectorXd difference = others.differences.segment(i * p, p);
+    const MatrixXd covariance = others.difference_covariance.block(i * p, i * p, p, p);
+    Index quantity = 0;
+    const bool single =
+        single_errors(difference, covariance).deviates.cwiseAbs().maxCoeff(&quantity) > limits.deviate;
+    if (!single &&
+        chi2_tail(chi2_of(difference, covariance), static_cast<int>(p)) >= limits.joint_probability)
+      continue;
+    faulty.push_back({static_cast<std::size_t>(i), single ? std::optional(quantity) : std::nullopt});
   }
   return faulty;
+}
+
+VectorXd detectable_faults(const ParticipantResults& results, double level, double power) {
+  require_participants(results);
+  const Index p = results.quantities, n = results.participants();
+  const double deviate = naming_limits(results, level).deviate + normal_quantile(power);
+  VectorXd faults(n * p);
+  for (Index i = 0; i < n; ++i) {
+    const ReferenceValue others = mean_of_others(results, i, {});
+    faults.segment(i * p, p) = deviate * single_errors(others.differences.segment(i * p, p),
+                                                       others.difference_covariance.block(i * p, i * p, p, p))
+                                             .u;
+  }
+  return faults;
 }
 
 Scores scores_of(double difference, double u, double expanded, const std::optional<double>& sigma_pt) {

@@ -100,12 +100,27 @@ struct ClaimTest {
 };
 std::vector<ClaimTest> test_claims(const ParticipantResults& results, const ReferenceValue& reference);
 
-/// Participants whose differences, all quantities together, are larger than chance explains: probability
-/// below `level` / n (Bonferroni), so that a round without faults names one with a probability of at most
-/// `level`. The differences are from the mean of the others of the largest consistent subset; if no majority
-/// agrees, nobody is named.
-/// @return positions in ascending order
-std::vector<std::size_t> faulty_participants(const ParticipantResults& results, double level);
+/// A participant whose result differs from those of the others by more than chance explains.
+struct FaultyParticipant {
+  std::size_t participant = 0;
+  /// The quantity whose error alone explains the difference best; absent if no single one does so
+  /// significantly.
+  std::optional<Eigen::Index> quantity;
+};
+
+/// Participants whose differences are larger than chance explains. Each is compared with the mean of the
+/// others of the largest consistent subset; if no majority agrees, nobody is named. Two tests share `level`
+/// equally: chi2 of all quantities, and for each quantity the error that it alone would have, in its standard
+/// uncertainty. With Bonferroni's limits (level / 2n and level / 2np) a round without faults names one with a
+/// probability of at most `level`.
+/// @return in ascending order
+std::vector<FaultyParticipant> faulty_participants(const ParticipantResults& results, double level);
+
+/// The faults that faulty_participants() finds: of each participant in each quantity alone the size of an
+/// error with which the participant is named with a probability of at least `power`, if all others are right
+/// and take part in the mean.
+/// @return n p, in the units of the quantities
+Eigen::VectorXd detectable_faults(const ParticipantResults& results, double level, double power);
 
 /// Scores of a difference from the assigned value (ISO 13528:2022, 9.4 to 9.7).
 struct Scores {

@@ -126,8 +126,10 @@ void load_measurements(const ComparisonChain& chain, const CertificateDoubt& dou
       }
       PilotMeasurement one{
           .number = k + 1, .participant = name, .result = read_pilot_result(protocol, name, file)};
-      const std::string why =
-          doubt && one.result.kind == "certificate" ? doubt(one.result.what) : std::string();
+      const std::string why = doubt && (one.result.kind == "certificate" || one.result.kind == "table") &&
+                                      !one.result.what.empty()
+                                  ? doubt(one.result.what)
+                                  : std::string();
       if (!why.empty()) {
         problems.push_back(
             fmt::format("{}: certificate {} {}; required: --withdraw REASON or --replace REASON", who,
@@ -392,6 +394,7 @@ PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const Compa
   analysis.reference = reference_value(results, options_of(protocol));
   analysis.claims = test_claims(results, analysis.reference);
   analysis.faulty = faulty_participants(results, kNamingLevel);
+  analysis.detectable = detectable_faults(results, kNamingLevel, kNamingPower);
   take_other_procedures(analysis);
   take_link(analysis);
   for (const ChainEntry& entry : chain.entries())

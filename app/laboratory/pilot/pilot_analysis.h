@@ -33,7 +33,9 @@ struct PilotAnalysis {
   /// Reference values by the other procedures, for comparison; without those that are not possible.
   std::vector<ReferenceValue> others;
   std::vector<ClaimTest> claims;
-  std::vector<std::size_t> faulty;  ///< Participants that differ, all quantities together.
+  std::vector<FaultyParticipant> faulty;  ///< Participants that differ from the others, which agree.
+  /// n p: error of one quantity with which a participant is named with the probability kNamingPower.
+  Eigen::VectorXd detectable;
   std::optional<LinkedDifferences> linked;
   /// Assumptions, changes, and results that do not take part, in sentences.
   std::vector<std::string> notes;
@@ -49,6 +51,9 @@ struct PilotAnalysis {
 
 /// Probability below which a participant is named, and a step of the artefact reported.
 inline constexpr double kNamingLevel = 0.01;
+
+/// Probability with which a fault as large as PilotAnalysis::detectable is named.
+inline constexpr double kNamingPower = 0.9;
 
 /// Why a certificate does not hold any more, by its number; empty: it holds, or that is not known.
 using CertificateDoubt = std::function<std::string(const std::string& number)>;

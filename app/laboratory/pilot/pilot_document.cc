@@ -337,6 +337,38 @@ Section pairs_section(const PilotAnalysis& analysis) {
   return section;
 }
 
+/// "differs, in phi_vw"; empty: the participant is not named.
+std::string naming_words(const PilotAnalysis& analysis, std::size_t participant) {
+  const auto fault = std::ranges::find(analysis.faulty, participant, &FaultyParticipant::participant);
+  if (fault == analysis.faulty.end()) return {};
+  if (!fault->quantity) return "differs";
+  return "differs, in " + analysis.protocol.quantities[static_cast<std::size_t>(*fault->quantity)];
+}
+
+/// The faults that would be named, in units of each participant's standard uncertainty.
+DocumentTable detectable_table(const PilotAnalysis& analysis) {
+  const ParticipantResults& results = analysis.transferred.results;
+  DocumentTable table{
+      fmt::format(
+          "Error of one quantity, in standard uncertainties of the participant, that is named in {:g} % "
+          "of comparisons",
+          100.0 * kNamingPower),
+      {{"participant"}},
+      {}};
+  table.dense = true;
+  for (const std::string& quantity : analysis.protocol.quantities)
+    table.columns.push_back({quantity, CellKind::kNumber});
+  for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
+    table.rows.push_back({analysis.participants[i]});
+    for (std::size_t q = 0; q < analysis.units.size(); ++q) {
+      const Index at = place(analysis, i, q);
+      table.rows.back().push_back(
+          fmt::format("{:.1f}", analysis.detectable(at) / std::sqrt(results.covariance(at, at))));
+    }
+  }
+  return table;
+}
+
 Section claims_section(const PilotAnalysis& analysis) {
   const std::size_t p = analysis.units.size();
   DocumentTable table{"",
@@ -348,20 +380,20 @@ Section claims_section(const PilotAnalysis& analysis) {
                       {}};
   for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
     const ClaimTest& claim = analysis.claims[i];
-    const bool named = std::ranges::find(analysis.faulty, i) != analysis.faulty.end();
     table.rows.push_back({analysis.participants[i], fmt::format("{} of {}", claim.beyond, p),
                           fmt::format("{:.1f}", claim.joint.chi2), probability_words(claim.joint.probability),
-                          named ? "differs" : ""});
+                          naming_words(analysis, i)});
   }
-  return {.title = "Claims of the participants",
-          .blocks = {
-              Paragraph{fmt::format(
-                  "By chance {:.1f} of the {} differences are beyond their U. A participant is named if its "
-                  "result differs from the mean of the others that agree, all quantities together, with a "
-                  "probability below {:g} % divided by the number of participants.",
-                  kByChance * static_cast<double>(p * analysis.participants.size()),
-                  p * analysis.participants.size(), 100.0 * kNamingLevel)},
-              table}};
+  return {
+      .title = "Claims of the participants",
+      .blocks = {
+          Paragraph{fmt::format(
+              "By chance {:.1f} of the {} differences are beyond their U. A participant is named if its "
+              "result differs from the mean of the others that agree, in all quantities together or in one: "
+              "without a fault one is named in at most {:g} % of comparisons.",
+              kByChance * static_cast<double>(p * analysis.participants.size()),
+              p * analysis.participants.size(), 100.0 * kNamingLevel)},
+          table, detectable_table(analysis)}};
 }
 
 Section link_section(const PilotAnalysis& analysis) {
@@ -389,7 +421,8 @@ std::string verdict_of(const PilotAnalysis& analysis) {
   if (analysis.transferred.step) return "The artefact changed: the results do not belong together.";
   if (analysis.agree()) return "The participants agree within their uncertainties.";
   std::vector<std::string> names;
-  for (const std::size_t i : analysis.faulty) names.push_back(analysis.participants[i]);
+  for (const FaultyParticipant& fault : analysis.faulty)
+    names.push_back(analysis.participants[fault.participant]);
   return names.empty()
              ? "The participants do not agree within their uncertainties, and no single one is the cause."
              : fmt::format("{} differs from the others, which agree.", fmt::join(names, ", "));
@@ -397,20 +430,25 @@ std::string verdict_of(const PilotAnalysis& analysis) {
 
 }  // namespace
 
-Document pilot_document(const PilotAnalysis& analysis, const std::string& created_utc) {
+Document pilot_document(const PilotAnalysis& analysis, PilotDraft draft, const std::string& created_utc) {
   Document document;
-  document.title = "Draft A: " + analysis.protocol.name;
+  const std::string letter(kPilotDrafts.of(draft));
+  document.title = "Draft " + letter + ": " + analysis.protocol.name;
   document.subtitle = verdict_of(analysis);
   document.identification = analysis.protocol.name;
   document.origin = fmt::format("abcal {}, {}", program_version(), created_utc);
   document.created_utc = created_utc;
-  document.page_mark = "DRAFT A";
+  document.page_mark = "DRAFT " + letter;
   if (!analysis.agree()) document.cautions.push_back(verdict_of(analysis));
   document.sections = {comparison_section(analysis),  artefact_section(analysis),
                        reference_section(analysis),   claims_section(analysis),
                        equivalence_section(analysis), pairs_section(analysis)};
   if (analysis.linked) document.sections.push_back(link_section(analysis));
   document.sections.push_back(results_section(analysis));
+  if (draft == PilotDraft::kB)
+    document.sections.push_back(
+        {.title = "Agreement",
+         .blocks = {Paragraph{"All participants agreed with Draft A; the chain has their acts."}}});
   if (!analysis.notes.empty())
     document.sections.push_back({.title = "Assumptions and changes", .blocks = {BulletList{analysis.notes}}});
   FactList statements;
@@ -441,6 +479,13 @@ Document pilot_status(const ComparisonProtocol& protocol, const ComparisonChain&
                           words, state.sha256.substr(0, kShownDigitsOfHash)});
   }
   document.sections.push_back({.title = "Measurements", .blocks = {table}});
+  if (chain.complete()) {
+    const std::vector<std::string> waiting = chain.not_agreed();
+    document.sections.push_back(
+        {.title = "Agreement with Draft A",
+         .blocks = {Paragraph{waiting.empty() ? std::string("All participants agree.")
+                                              : fmt::format("Missing: {}.", fmt::join(waiting, ", "))}}});
+  }
   if (const std::vector<std::string> changes = chain.changes(); !changes.empty())
     document.sections.push_back({.title = "Changes", .blocks = {BulletList{changes}}});
   return document;

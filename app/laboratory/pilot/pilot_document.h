@@ -8,10 +8,14 @@
 
 namespace abcal {
 
-/// The draft A of a comparison (CIPM MRA-G-11): participants, artefact, reference value, degrees of
-/// equivalence with a figure for each quantity, matrices of pairs, claims, notes, participants' statements.
+/// Reports of a comparison (CIPM MRA-G-11): A goes to the participants, B is what all of them agreed with.
+enum class PilotDraft { kA, kB };
+inline constexpr auto kPilotDrafts = names<PilotDraft>({{PilotDraft::kA, "A"}, {PilotDraft::kB, "B"}});
+
+/// The draft of a comparison: participants, artefact, reference value, degrees of equivalence with a figure
+/// for each quantity, matrices of pairs, claims, notes, participants' statements.
 /// @param created_utc  ISO 8601
-Document pilot_document(const PilotAnalysis& analysis, const std::string& created_utc);
+Document pilot_document(const PilotAnalysis& analysis, PilotDraft draft, const std::string& created_utc);
 
 /// The state of a comparison before its analysis: no value of any result.
 Document pilot_status(const ComparisonProtocol& protocol, const ComparisonChain& chain);

@@ -68,6 +68,7 @@ Json json_of_participant(const PilotAnalysis& analysis, std::size_t i) {
             {"z", std::move(z)},
             {"beyond", analysis.claims[i].beyond},
             {"all_quantities", json_of_test(analysis.claims[i].joint)},
+            {"detectable_faults", list_of_numbers(analysis.detectable.segment(from, p))},
             {"pairs", std::move(pairs)},
             {"linked_differences", nullptr},
             {"linked_standard_uncertainties", nullptr}};
@@ -126,6 +127,7 @@ Json pilot_json(const PilotAnalysis& analysis) {
              {{"all_quantities", json_of_test(analysis.consistency.joint)}, {"quantities", Json::array()}}},
             {"participants", Json::array()},
             {"named", Json::array()},
+            {"faults", Json::array()},
             {"notes", analysis.notes},
             {"statements", Json::array()},
             {"protocol_sha256", analysis.protocol.sha256},
@@ -139,7 +141,15 @@ Json pilot_json(const PilotAnalysis& analysis) {
   }
   for (std::size_t i = 0; i < analysis.participants.size(); ++i)
     json["participants"].push_back(json_of_participant(analysis, i));
-  for (const std::size_t i : analysis.faulty) json["named"].push_back(analysis.participants[i]);
+  for (const FaultyParticipant& fault : analysis.faulty) {
+    const std::string& name = analysis.participants[fault.participant];
+    json["named"].push_back(name);
+    json["faults"].push_back(
+        {{"participant", name},
+         {"quantity", fault.quantity
+                          ? Json(analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)])
+                          : Json(nullptr)}});
+  }
   for (const auto& [name, text] : analysis.statements)
     json["statements"].push_back({{"participant", name}, {"text", text}});
   return json;
@@ -157,9 +167,13 @@ Json pilot_status_json(const ComparisonProtocol& protocol, const ComparisonChain
                             {"opened", !state.file.empty()},
                             {"withdrawn", state.withdrawn}});
   }
-  return {{"schema", "abcal.pilot/1"},    {"name", protocol.name},
-          {"complete", chain.complete()}, {"measurements", std::move(measurements)},
-          {"changes", chain.changes()},   {"protocol_sha256", protocol.sha256},
+  return {{"schema", "abcal.pilot/1"},
+          {"name", protocol.name},
+          {"complete", chain.complete()},
+          {"not_agreed", chain.not_agreed()},
+          {"measurements", std::move(measurements)},
+          {"changes", chain.changes()},
+          {"protocol_sha256", protocol.sha256},
           {"chain", chain.head()}};
 }
 

@@ -5,6 +5,7 @@
 
 #include <array>
 #include <cmath>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -15,6 +16,8 @@
 
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
+#include "tests/app/readings_csv.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -53,6 +56,7 @@ class PilotCommand : public ProgramTest {
     std::string unit = "V", serial_number = "17";
     double scale = 1.0;
     bool last_quantity = true;
+    double error = 0.3;  ///< Size of the drawn errors in standard uncertainties.
   };
   /// A table with covariance; errors are drawn.
   void write_table(const std::string& name, const Made& made, unsigned seed) {
@@ -63,7 +67,7 @@ class PilotCommand : public ProgramTest {
     for (std::size_t i = 0; i < (made.last_quantity ? 9U : 8U); ++i) {
       const auto scaled = [&](std::size_t k) { return k < 3 || k > 5 ? made.scale : 1.0; };
       text += std::string(kSymbols[i]) + "," +
-              number((made.values[i] + 0.3 * kU[i] * normal(engine)) * scaled(i));
+              number((made.values[i] + made.error * kU[i] * normal(engine)) * scaled(i));
       for (std::size_t k = 0; k < 9; ++k)
         text += "," + number((i == k ? 1.0 : 0.2) * kU[i] * kU[k] * scaled(i) * scaled(k));
       text += "\n";
@@ -131,6 +135,106 @@ TEST_F(PilotCommand, FromProtocolToReport) {
   EXPECT_THAT(test::read_file(folder / "a.html"), AllOf(HasSubstr("<svg"), HasSubstr("LAB4")));
   EXPECT_THAT(test::read_file(folder / "a.pdf").substr(0, 5), "%PDF-");
   EXPECT_EQ(pilot({"report", "c.toml", "--html", "a.html"}).exit_code, 2) << "exists";
+}
+
+TEST_F(PilotCommand, DraftBNeedsTheAgreementOfAllAndHasACertificate) {
+  write_table("1.csv", {}, 1);
+  EXPECT_THAT(pilot({"add", "c.toml", "--participant", "LAB2", "--agree"}).err,
+              HasSubstr("no Draft A to agree with"));
+  add_all();
+  const ProgramResult early = pilot({"report", "c.toml", "--draft", "B", "--pdf", "b.pdf"});
+  EXPECT_EQ(early.exit_code, 2);
+  EXPECT_THAT(early.err, AllOf(HasSubstr("agreement of all participants"),
+                               HasSubstr("missing: LAB1, LAB2, LAB3, LAB4"), HasSubstr("--agree")));
+  for (const char* name : {"LAB1", "LAB2", "LAB3", "LAB4"})
+    ASSERT_EQ(pilot({"add", "c.toml", "--participant", name, "--agree"}).exit_code, 0);
+  EXPECT_THAT(pilot({"add", "c.toml", "--participant", "LAB2", "--agree"}).err,
+              HasSubstr("has agreed already"));
+  EXPECT_THAT(pilot({"status", "c.toml"}).out, HasSubstr("All participants agree."));
+  // A statement voids nothing.
+  ASSERT_EQ(
+      pilot({"add", "c.toml", "--participant", "LAB3", "--statement", "A new polygon since."}).exit_code, 0);
+  const ProgramResult text = pilot({"report", "c.toml", "--draft", "B"});
+  EXPECT_EQ(text.exit_code, 0) << text.err;
+  EXPECT_THAT(text.out,
+              AllOf(HasSubstr("Draft B: Comparison of four"), HasSubstr("All participants agreed")));
+  ASSERT_EQ(pilot({"report", "c.toml", "--draft", "B", "--pdf", "b.pdf"}).exit_code, 0);
+  EXPECT_EQ(test::read_file(folder / "b.pdf").substr(0, 5), "%PDF-");
+
+  const std::string laboratory = (test::source_folder() / "docs/examples/laboratory.toml").string();
+  const auto certificate = [&](const std::string& draft, const std::string& approver) {
+    return pilot({"report", "c.toml", "--draft", draft, "--xml", "b.xml", "--laboratory", laboratory,
+                  "--number", "CMP-1", "--approved-by", approver});
+  };
+  EXPECT_THAT(certificate("A", "Approver N. N.").err, HasSubstr("required: --draft B"));
+  EXPECT_THAT(certificate("B", "Operator N. N.").err, HasSubstr("who may approve"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "b.xml")) << "nothing is written then";
+  const ProgramResult written = certificate("B", "Approver N. N.");
+  ASSERT_EQ(written.exit_code, 0) << written.err;
+  // The schema and the business rules were checked before it was written.
+  EXPECT_THAT(
+      test::read_file(folder / "b.xml"),
+      AllOf(HasSubstr("comparison_referenceValue"), HasSubstr("comparison_equivalenceValueEnCriterion"),
+            HasSubstr("LAB1-LAB2"), HasSubstr("CMP-1"), HasSubstr("A new polygon since.")));
+
+  // A late change voids all agreements.
+  write_table("again.csv", {}, 50);
+  ASSERT_EQ(
+      pilot({"add", "c.toml", "again.csv", "--participant", "LAB3", "--replace", "wrong gain"}).exit_code, 0);
+  EXPECT_THAT(pilot({"report", "c.toml", "--draft", "B"}).err, HasSubstr("missing: LAB1, LAB2, LAB3, LAB4"));
+}
+
+TEST_F(PilotCommand, CompareSaysTheSameNumbers) {
+  // Each of three measured once; one quantity alone, because compare has one variance between for each.
+  test::write_file(folder / "c.toml",
+                   "[comparison]\nname = \"three\"\npilot = \"LAB1\"\nitem_serial_number = \"17\"\n"
+                   "response_unit = \"V\"\nprocedure = \"A\"\ndraws = 5000\n"
+                   "[[participant]]\nname = \"LAB1\"\n[[participant]]\nname = \"LAB2\"\n"
+                   "[[participant]]\nname = \"LAB3\"\n[[measurement]]\nparticipant = \"LAB1\"\n"
+                   "[[measurement]]\nparticipant = \"LAB2\"\n[[measurement]]\nparticipant = \"LAB3\"\n");
+  const std::vector<std::string> files{"1.csv", "2.csv", "3.csv"};
+  for (unsigned k = 0; k < 3; ++k) {
+    write_table(files[k], {.error = 1.2}, 70 + k);
+    ASSERT_EQ(add("LAB" + std::to_string(k + 1), files[k]).exit_code, 0);
+  }
+  const Json pilots = Json::parse(pilot({"analyse", "c.toml", "--json"}).out);
+  const ProgramResult compared = abcal({"compare", "1.csv", "2.csv", "3.csv", "--json"});
+  const Json json = Json::parse(compared.out);
+  const auto same = [](const Json& a, const Json& b, const std::string& what) {
+    EXPECT_NEAR(a.get<double>(), b.get<double>(), 1e-9 * std::abs(b.get<double>())) << what;
+  };
+  same(json["several"]["consistency"]["all"]["chi2"], pilots["consistency"]["all_quantities"]["chi2"],
+       "chi2");
+  same(json["several"]["consistency"]["all"]["chi2_probability"],
+       pilots["consistency"]["all_quantities"]["chi2_probability"], "probability");
+  ASSERT_TRUE(json["several"]["consistency"]["agree"]);
+  for (std::size_t k = 0; k < 2; ++k) {
+    const Json& pair = json["pairs"][k];
+    const Json& here = pilots["participants"][0]["pairs"][k];
+    for (std::size_t q = 0; q < 9; ++q) {
+      const Json& property = pair["properties"][kSymbols[q]];
+      // compare has second minus first.
+      EXPECT_NEAR(property["difference"].get<double>(), -here["differences"][q].get<double>(), 1e-15);
+      same(property["standard_uncertainty"], std::sqrt(here["covariance"][q][q].get<double>()), kSymbols[q]);
+      same(property["e_n"],
+           -here["differences"][q].get<double>() / here["expanded_uncertainties"][q].get<double>(), "E_n");
+    }
+  }
+  // Where the uncertainties explain all, the mean of random effects of a quantity is that of procedure A of
+  // it.
+  test::write_file(folder / "c.toml.chain", "");
+  std::string one = test::read_file(folder / "c.toml");
+  one.insert(one.find("procedure"), "quantities = [\"s_v\"]\n");
+  test::write_file(folder / "c.toml", one);
+  for (unsigned k = 0; k < 3; ++k) ASSERT_EQ(add("LAB" + std::to_string(k + 1), files[k]).exit_code, 0);
+  const Json alone = Json::parse(pilot({"analyse", "c.toml", "--json"}).out);
+  Json random;
+  for (const Json& other : alone["other_procedures"])
+    if (other["procedure"] == "random-effects") random = other;
+  const Json& mean = json["several"]["properties"]["s_v"]["random_effects"];
+  same(mean["mean"], random["values"][0], "mean");
+  same(mean["standard_uncertainty"], std::sqrt(random["covariance"][0][0].get<double>()), "u of the mean");
+  EXPECT_NEAR(mean["between"].get<double>(), random["between"][0].get<double>(), 1e-12);
 }
 
 TEST_F(PilotCommand, ResultsThatAreAddedAtOnceAreAllIn) {
@@ -222,6 +326,11 @@ TEST_F(PilotCommand, ResultsThatCannotBeComparedAreRefusedWithTheReason) {
       "</dcc:digitalCalibrationCertificate>");
   EXPECT_THAT(add("LAB2", "bad.xml").err, AllOf(HasSubstr("covariance of its quantities"),
                                                 HasSubstr("correlations = \"taken as zero\"")));
+  // Readings without a local gravity give sensitivities per g_loc only.
+  test::write_file(folder / "readings.csv", test::readings(test::kMatrix, 1));
+  EXPECT_THAT(add("LAB2", "readings.csv").err,
+              AllOf(HasSubstr("readings.csv is no result of this comparison"),
+                    HasSubstr("local gravity is not known"), HasSubstr("required: a run file")));
   EXPECT_THAT(add("LAB9", "bad.csv").err, HasSubstr("LAB9 is no participant of c.toml"));
   EXPECT_THAT(pilot({"status", "c.toml"}).out, HasSubstr("0 of 6")) << "nothing was recorded";
 }
