@@ -227,11 +227,69 @@ TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
   EXPECT_EQ(first[0]["operator"], "Operator N. N. (stated, not verified)");
   EXPECT_EQ(first[0]["simulated"], "stage, accelerometer");
   EXPECT_GT(first[0]["duration_s"], 0.0);
-  ASSERT_TRUE(std::filesystem::exists(runs() / RunLibrary::kSummaries));
+  const std::filesystem::path kept = runs() / RunIndex::kFile;
+  ASSERT_TRUE(std::filesystem::exists(kept));
   EXPECT_EQ(listed(), first);
-  // Summaries stored by another program version are made again.
-  test::write_file(runs() / RunLibrary::kSummaries, "{\"program\":1,\"runs\":[]}");
+  // What another format has kept, or is no database, is made again.
+  SqliteDatabase(kept, SqliteDatabase::Mode::kReadWrite).execute("pragma user_version = 7");
   EXPECT_EQ(listed(), first);
+  test::write_file(kept, "no database");
+  EXPECT_EQ(listed(), first);
+  // Where the folder takes no file, the list is in memory.
+  std::filesystem::remove(kept);
+  std::filesystem::create_directories(kept / "in the way");
+  EXPECT_EQ(listed(), first);
+}
+
+// What is kept says what the files say, whatever happens to them.
+TEST_F(RunLibraryTest, ListsWhatTheFilesSayWhateverHappensToThem) {
+  test::write_file(folder / "bench.toml", bench.text());
+  measure("bench.toml", "a.run");
+  const std::filesystem::path file = runs() / "a.run", results = runs() / "a.run.results";
+  RunLibrary library(runs());
+  const auto listed = [&] { return Json(library.list(std::chrono::minutes(1))); };
+  const auto read_anew = [&] {
+    std::filesystem::remove(runs() / RunIndex::kFile);
+    return Json(RunLibrary(runs()).list(std::chrono::minutes(1)));
+  };
+  const Json first = listed();
+  EXPECT_EQ(first[0]["verdict"], "usable");
+  EXPECT_EQ(first[0]["analysed"], true);
+  // Its results are removed, and come back.
+  std::filesystem::rename(results, folder / "results");
+  EXPECT_EQ(listed()[0]["verdict"], "");
+  EXPECT_EQ(listed()[0]["analysed"], false);
+  std::filesystem::rename(folder / "results", results);
+  EXPECT_EQ(listed(), first);
+  // Bytes change while size and time stay.
+  const auto time = std::filesystem::last_write_time(file);
+  const std::string whole = test::read_file(file);
+  std::filesystem::permissions(file, std::filesystem::perms::owner_write, std::filesystem::perm_options::add);
+  test::write_file(file, std::string(whole.size(), 'x'));
+  std::filesystem::last_write_time(file, time);
+  EXPECT_EQ(listed()[0]["state"], "unreadable");
+  test::write_file(file, whole);
+  std::filesystem::last_write_time(file, time);
+  EXPECT_EQ(listed(), first);
+  // New runs, other runs under their names, and runs that go.
+  for (const char* copy : {"b.run", "c.run"}) std::filesystem::copy_file(file, runs() / copy);
+  EXPECT_EQ(listed().size(), 3U);
+  std::filesystem::remove(runs() / "b.run");
+  bench.simulation = "seed = 3\n";
+  test::write_file(folder / "bench.toml", bench.text());
+  std::filesystem::remove(runs() / "c.run");
+  measure("bench.toml", "c.run");
+  const Json last = listed();
+  ASSERT_EQ(last.size(), 2U);
+  EXPECT_EQ(last[0]["name"], "c.run");
+  EXPECT_EQ(last, read_anew());
+  RunLibrary::PageAsked complete;
+  complete.state = "complete";
+  complete.search = "C.RUN";
+  const Json page = library.page(complete);
+  EXPECT_EQ(page["found"], 1);
+  EXPECT_EQ(page["verdicts"], Json({{"usable", 1}}));
+  EXPECT_EQ(page["first_utc"], last[0]["created_utc"]);
 }
 
 TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
@@ -362,8 +420,9 @@ TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   const Json& reported = shown["results"][0];
   EXPECT_EQ(kept[0]["value"], reported["intrinsic_angle"][1]["value"]) << reported;
   EXPECT_EQ(kept[1]["standard_uncertainty"], reported["offset"][2]["standard_uncertainty"]);
-  const Json written = Json::parse(test::read_file(runs() / RunLibrary::kSummaries));
-  EXPECT_EQ(written["runs"]["4.run"]["charted"]["1"]["values"][4][0], kept[0]["value"]);
+  const auto written = SqliteDatabase(runs() / RunIndex::kFile, SqliteDatabase::Mode::kReadOnly)
+                           .value("select charted from chart where name = '4.run'");
+  EXPECT_EQ(Json::parse(written.value_or("{}"))["values"][4][0], kept[0]["value"]);
   close();
   open();
   EXPECT_EQ((Json{charted("phi_vw"), charted("O_w")}), kept);
