@@ -194,7 +194,7 @@ TEST_F(PilotCommand, CompareSaysTheSameNumbers) {
                    "[[measurement]]\nparticipant = \"LAB2\"\n[[measurement]]\nparticipant = \"LAB3\"\n");
   const std::vector<std::string> files{"1.csv", "2.csv", "3.csv"};
   for (unsigned k = 0; k < 3; ++k) {
-    write_table(files[k], {.error = 1.2}, 70 + k);
+    write_table(files[k], {.error = 1.0}, 70 + k);
     ASSERT_EQ(add("LAB" + std::to_string(k + 1), files[k]).exit_code, 0);
   }
   const Json pilots = Json::parse(pilot({"analyse", "c.toml", "--json"}).out);
