@@ -61,7 +61,7 @@ class RunIndex {
   /// read yet".
   Page page(const Asked& asked, std::chrono::milliseconds patience);
 
-  /// What was read of a run.
+  /// A run as it was read.
   struct ReadRun {
     nlohmann::ordered_json summary;
     bool is_closed = false;  ///< It will not change any more.

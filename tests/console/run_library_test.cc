@@ -230,7 +230,7 @@ TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
   const std::filesystem::path kept = runs() / RunIndex::kFile;
   ASSERT_TRUE(std::filesystem::exists(kept));
   EXPECT_EQ(listed(), first);
-  // What another format has kept, or is no database, is made again.
+  // A database of another format, or a file that is none, is made again.
   SqliteDatabase(kept, SqliteDatabase::Mode::kReadWrite).execute("pragma user_version = 7");
   EXPECT_EQ(listed(), first);
   test::write_file(kept, "no database");
@@ -241,7 +241,7 @@ TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
   EXPECT_EQ(listed(), first);
 }
 
-// What is kept says what the files say, whatever happens to them.
+// The list says what the files say, whatever happens to them.
 TEST_F(RunLibraryTest, ListsWhatTheFilesSayWhateverHappensToThem) {
   test::write_file(folder / "bench.toml", bench.text());
   measure("bench.toml", "a.run");

@@ -181,7 +181,7 @@ void take_result(const CalibrationResult& calibration, ComparedResult& result) {
 
 /// A named file, before it is analysed.
 struct NamedResult {
-  NamedItem named;  ///< Item 0: all items.
+  NamedItem named;       ///< Item 0: all items.
   bool has_runs = true;  ///< A run, a measurement or a table of readings.
   ComparedResult identity;
 };
@@ -208,8 +208,8 @@ NamedResult look_at(const std::string& name, int item, bool alone) {
 
 /// A certificate, or a table of quantities with their covariance.
 ComparedResult stated_result(const NamedResult& of) {
-  ComparedResult stated = looks_like_xml(of.named.file) ? read_certificate(of.named.file)
-                                                        : read_covariance_table(of.named.file);
+  ComparedResult stated =
+      looks_like_xml(of.named.file) ? read_certificate(of.named.file) : read_covariance_table(of.named.file);
   stated.path = of.identity.path;
   stated.sha256 = of.identity.sha256;
   return stated;
