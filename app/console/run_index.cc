@@ -27,7 +27,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// Of the tables and of the summaries in them: a database of another format is made again.
+/// The format of the tables and of the summaries in them: a database of another one is made again.
 constexpr int kFormat = 1;
 
 constexpr const char* kNotReadYet = "not read yet";

@@ -53,8 +53,8 @@ class RunIndex {
   struct Page {
     std::vector<nlohmann::ordered_json> runs;
     std::int64_t all = 0, found = 0;
-    std::int64_t unread = 0;              ///< Of all, so far.
-    std::map<std::string, int> verdicts;  ///< Of those found.
+    std::int64_t unread = 0;              ///< Runs not read so far, among all.
+    std::map<std::string, int> verdicts;  ///< How many of those found have each.
     std::string first_utc, last_utc;      ///< Beginnings of the first and the last of those found.
   };
   /// A file that cannot be read is listed with the reason; one that is not read after `patience`, as "not
