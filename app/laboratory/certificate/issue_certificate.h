@@ -16,7 +16,7 @@ namespace abcal {
 /// @throws CertificateRefused  with every violation: nothing is written then
 std::string checked_xml(const Certificate& certificate, const DccSchema* schema);
 
-/// What the business rules and the schema say against a document.
+/// The objections of the business rules and of the schema to a document.
 std::vector<Problem> problems_of_xml(const XmlDocument& document, const DccSchema* schema);
 
 /// A certificate whose XML is made and checked, but not yet stored.

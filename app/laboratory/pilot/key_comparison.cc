@@ -208,10 +208,10 @@ ReferenceValue mean_of_others(const ParticipantResults& results, Index i,
   return others;
 }
 
-/// What a participant's difference from the mean of the others tells of its errors, if only one quantity has
+/// The errors that a participant's difference from the mean of the others implies, if only one quantity has
 /// one.
 struct SingleErrors {
-  VectorXd deviates;  ///< Of each quantity the error in units of its standard uncertainty.
+  VectorXd deviates;  ///< For each quantity the error in units of its standard uncertainty.
   VectorXd u;         ///< Standard uncertainty of that error.
 };
 SingleErrors single_errors(const VectorXd& difference, const MatrixXd& covariance) {

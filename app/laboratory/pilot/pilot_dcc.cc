@@ -118,7 +118,7 @@ void add_administrative(XmlElement& root, const PilotAnalysis& analysis, const P
   add_statements(administrative, analysis);
 }
 
-/// What holds for all results: the procedure, and when the artefact had the stated values.
+/// Statements on all results: the procedure, and when the artefact had the stated values.
 void add_method(XmlElement& measurement, const PilotAnalysis& analysis) {
   XmlElement method = measurement.add("dcc:usedMethods").add("dcc:usedMethod");
   method.attribute("refType", "abc_comparison");

@@ -421,8 +421,12 @@ std::string verdict_of(const PilotAnalysis& analysis) {
   if (analysis.transferred.step) return "The artefact changed: the results do not belong together.";
   if (analysis.agree()) return "The participants agree within their uncertainties.";
   std::vector<std::string> names;
-  for (const FaultyParticipant& fault : analysis.faulty)
+  for (const FaultyParticipant& fault : analysis.faulty) {
     names.push_back(analysis.participants[fault.participant]);
+    if (fault.quantity)
+      names.back() +=
+          fmt::format(" (in {})", analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)]);
+  }
   return names.empty()
              ? "The participants do not agree within their uncertainties, and no single one is the cause."
              : fmt::format("{} differs from the others, which agree.", fmt::join(names, ", "));

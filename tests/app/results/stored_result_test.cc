@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "app/laboratory/compare/compared_result.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/stored_result.h"
 #include "app/system/version.h"
 #include "protocol/record/results_file.h"
@@ -131,6 +132,25 @@ std::size_t compare_answers(unsigned runs) {
       return expect_the_numbers_of_a_fit(run, estimator);
     };
     stored += ask("as measured");
+    // A measurement of this run and another one; below, one of its runs is damaged.
+    const std::filesystem::path measurement = folder / "both.measurement";
+    const bool has_measurement = items == 1 && seed % 4 == 0;
+    const auto ask_measurement = [&](const char* state) {
+      SCOPED_TRACE(state);
+      if (!has_measurement) return;
+      ++compared;
+      EXPECT_EQ(expect_the_numbers_of_a_fit(measurement, "joint"), 0U);
+    };
+    if (has_measurement) {
+      const std::filesystem::path second = folder / "b.run";
+      test::InProcessRun(bench_of_items(1, seed + 1000, "joint"), second).run_to_end();
+      write_measurement(measurement, {"2026-03-01T00:00:00.000Z",
+                                      program_version(),
+                                      1,
+                                      {{run, sha256_of_file(run)}, {second, sha256_of_file(second)}},
+                                      {}});
+    }
+    ask_measurement("two runs in a measurement");
     const std::filesystem::path kept = folder / "kept.results";
     std::filesystem::copy_file(results, kept);
     const auto restore = [&] {
@@ -154,17 +174,18 @@ std::size_t compare_answers(unsigned runs) {
     std::filesystem::rename(folder / "elsewhere", results);
     change_byte(run, engine);
     EXPECT_EQ(ask("a byte of the run changed"), 0U);
+    ask_measurement("a byte of a run of the measurement changed");
   }
   EXPECT_GT(stored, 0U) << "no stored result was used, and nothing was compared";
   return compared;
 }
 
 TEST(StoredResultTest, GivesTheNumbersOfAFitWhateverHappensToTheFiles) {
-  EXPECT_EQ(compare_answers(10), 60U);
+  EXPECT_EQ(compare_answers(10), 64U);
 }
 
 TEST(LongStoredResultTest, GivesTheNumbersOfAFitOverTwoHundredRuns) {
-  EXPECT_EQ(compare_answers(200), 1200U);
+  EXPECT_EQ(compare_answers(200), 1280U);
 }
 
 TEST(StoredResultTest, IsTakenOnlyOfItsEstimatorAndVersion) {
