@@ -307,11 +307,20 @@ void read_all_dwells(SqliteDatabase& database, const std::function<void(const St
                   " from dwell order by id"
                 : "select *, id not in (select min(id) from dwell group by position, item) as again"
                   " from dwell order by id");
+  const bool has_gaps =
+      !has_reading_gaps(database) || database.value("select 1 from reading_gap limit 1").has_value();
   SqliteStatement readings = database.prepare(
       version_2
           ? "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = :dwell order by k"
-          : "select sequence, time_s, u, v, w, temperature_degc from timed_reading where dwell = :dwell"
-            " order by k");
+      : has_gaps
+          ? "select sequence, time_s, u, v, w, temperature_degc from timed_reading where dwell = :dwell"
+            " order by k"
+          // timed_reading of a run without gaps: the view looks for them at each reading.
+          : "select d.first_sequence + r.k as sequence, (s.origin_ns + d.first_reading_ns + r.k *"
+            " d.reading_interval_ns + r.late_ns) / 1e9 as time_s, r.u, r.v, r.w,"
+            " d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as"
+            " temperature_degc from reading r join dwell d on d.id = r.dwell join session s on"
+            " s.id = d.session where r.dwell = :dwell order by r.k");
   while (dwells.step()) {
     StoredDwell dwell;
     dwell.item = static_cast<int>(dwells.integer("item"));

@@ -381,6 +381,16 @@ void require_unchanged(const std::filesystem::path& run) {
   require_sound(read_and_check(run, 1), "is not continued");
 }
 
+std::optional<CheckedRun> read_if_as_closed(const std::filesystem::path& run) {
+  SqliteDatabase database = open_run_file(run, SqliteDatabase::Mode::kReadOnly);
+  CheckedRun checked;
+  checked.path = run;
+  checked.items = RunFile::load_items(database, run, 0);
+  if (!checked.complete()) return std::nullopt;
+  check_hash(checked);
+  return checked.hash && checked.hash->good ? std::optional(std::move(checked)) : std::nullopt;
+}
+
 CheckedRun read_as_stored(const std::filesystem::path& run, int item) {
   CheckedRun checked = read_and_check(run, item);
   require_sound(checked, "gives no result");

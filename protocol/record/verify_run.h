@@ -50,6 +50,11 @@ std::vector<IntegrityCheck> verify_run(const CheckedRun& run);
 /// @throws RunFileError that names what was changed, with the angle
 void require_unchanged(const std::filesystem::path& run);
 
+/// Reads a complete run whose bytes have the SHA-256 that its results name, all as they were when it was
+/// closed; the measurements are not checked again. nullopt: any other run.
+/// @throws RunFileError if the file is not a run file
+std::optional<CheckedRun> read_if_as_closed(const std::filesystem::path& run);
+
 /// Reads a run that is to give a result. Requires the same, and that its bytes have the hash which its
 /// results name, if they name one.
 /// @param item  as of read_and_check()

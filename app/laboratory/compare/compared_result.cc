@@ -237,10 +237,14 @@ LoadedFile load_file(const std::string& file, const std::string& asked, ResultSo
                      const TableOptions& options) {
   if (!RunFile::looks_like_run_file(file))
     return {std::make_shared<const AnalysedRun>(analyse_file_by(file, asked, options)), false};
-  CheckedRun run = load_run(file).value();
-  const std::string estimator = asked.empty() ? declared_estimator(run.items.front().record).name : asked;
+  const auto estimator_of = [&](const CheckedRun& run) {
+    return asked.empty() ? declared_estimator(run.items.front().record).name : asked;
+  };
   if (source == ResultSource::kStored)
-    if (LoadedFile stored = stored_run(run, estimator); stored.run) return stored;
+    if (std::optional<CheckedRun> run = read_if_as_closed(file))
+      if (LoadedFile stored = stored_run(*run, estimator_of(*run)); stored.run) return stored;
+  CheckedRun run = load_run(file).value();
+  const std::string estimator = estimator_of(run);
   return {std::make_shared<const AnalysedRun>(analyse_run(std::move(run.items), estimator)), false};
 }
 

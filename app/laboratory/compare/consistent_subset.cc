@@ -33,11 +33,19 @@ class Chi2 {
   /// chi2 if result i is left out too.
   double without(std::size_t i) const {
     const Eigen::VectorXd part = px_.segment(at(i), size_);
-    return std::max(0.0, chi2_ - part.dot(block(i).ldlt().solve(part)));
+    return std::max(0.0, chi2_ - part.dot(block(i, i).ldlt().solve(part)));
+  }
+  /// chi2 if results i and j are left out too: without a copy of P, which would take most of the time.
+  double without(std::size_t i, std::size_t j) const {
+    Eigen::VectorXd part(2 * size_);
+    part << px_.segment(at(i), size_), px_.segment(at(j), size_);
+    Eigen::MatrixXd both(2 * size_, 2 * size_);
+    both << block(i, i), block(i, j), block(j, i), block(j, j);
+    return std::max(0.0, chi2_ - part.dot(both.ldlt().solve(part)));
   }
   /// Leaves result i out.
   void leave_out(std::size_t i) {
-    const Eigen::LDLT<Eigen::MatrixXd> factor(block(i));
+    const Eigen::LDLT<Eigen::MatrixXd> factor(block(i, i));
     const Eigen::MatrixXd columns = p_.middleCols(at(i), size_);
     const Eigen::VectorXd part = px_.segment(at(i), size_);
     chi2_ = without(i);
@@ -47,7 +55,7 @@ class Chi2 {
 
  private:
   Eigen::Index at(std::size_t i) const { return static_cast<Eigen::Index>(i) * size_; }
-  Eigen::MatrixXd block(std::size_t i) const { return p_.block(at(i), at(i), size_, size_); }
+  Eigen::MatrixXd block(std::size_t i, std::size_t j) const { return p_.block(at(i), at(j), size_, size_); }
 
   Eigen::Index size_;
   Eigen::MatrixXd p_;
@@ -74,6 +82,12 @@ void each_set(const Chi2& before, std::size_t from, std::size_t more, std::size_
     left_out.push_back(i);
     if (more == 1) {
       attempt(left_out, before.without(i));
+    } else if (more == 2) {
+      for (std::size_t j = i + 1; j < n; ++j) {
+        left_out.push_back(j);
+        attempt(left_out, before.without(i, j));
+        left_out.pop_back();
+      }
     } else {
       Chi2 after = before;
       after.leave_out(i);

@@ -16,7 +16,7 @@ namespace abcal {
 /// contents, another version, a version whose commit is not known, several items, which have a common fit, a
 /// result that is not usable, and a number that is missing.
 /// `abcal verify` computes stored results again and never uses them.
-/// @param run  as read_as_stored() has read it
+/// @param run  as read_if_as_closed() or read_as_stored() has read it
 std::optional<CalibrationResult> stored_result(const CheckedRun& run, const std::string& estimator);
 
 }  // namespace abcal
