@@ -40,7 +40,8 @@ constexpr const char* kTables =
     " results text not null default '', state text not null, bench text not null default '',"
     " verdict text not null default '', created_utc text not null default '') without rowid;"
     "create index newest on run (time, name);"
-    "create index counted on run (state, bench, verdict, created_utc);"
+    "create index counted on run (verdict, created_utc, state, bench);"
+    "create index unread on run (time, name) where is_read = 0;"
     "create index open on run (name) where is_read = 0 or is_closed = 0 or verdict = '';"
     "create table words (name text primary key, summary text not null, search text not null) without rowid;"
     "create table chart (name text, item integer, program text not null, charted text not null,"
@@ -401,7 +402,8 @@ RunIndex::Page RunIndex::page(const Asked& asked, std::chrono::milliseconds pati
   }
   if (has_changed) look(lock, patience);
   Page page;
-  SqliteStatement counts = database_.prepare("select count(*), total(is_read = 0) from run");
+  SqliteStatement counts =
+      database_.prepare("select (select count(*) from run), (select count(*) from run where is_read = 0)");
   counts.step();
   page.all = counts.integer(0);
   page.unread = counts.integer(1);
