@@ -154,8 +154,8 @@ bool Answers::order_of_library(const std::vector<std::string>& words, Slow& late
   later.workshop = &analyses_;
   if (words.size() == 3 && words[0] == "history") {
     if (!RunLibrary::is_charted(words[2])) return false;
-    later.make = [this, serial = words[1], property = words[2]](const std::stop_token&) {
-      return made_of_json(library_.history(serial, property));
+    later.make = [this, serial = words[1], property = words[2]](const std::stop_token& stop) {
+      return made_of_json(library_.history(serial, property, stop));
     };
     return true;
   }

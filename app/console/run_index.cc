@@ -214,14 +214,6 @@ RunIndex::RunIndex(std::filesystem::path folder) : folder_(std::move(folder)), d
     contents_[row.text(0)] = row.text(1);
 }
 
-RunIndex::~RunIndex() {
-  {
-    const std::lock_guard lock(mutex_);
-    is_ending_ = true;
-  }
-  was_read_.notify_all();
-}
-
 std::vector<std::string> RunIndex::names(std::string_view query) {
   std::vector<std::string> found;
   for (SqliteStatement row = database_.prepare(query); row.step();) found.push_back(row.text(0));
@@ -358,7 +350,8 @@ void RunIndex::read_new(const std::stop_token& stop) {
   was_read_.notify_all();
 }
 
-void RunIndex::look(std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience) {
+void RunIndex::look(std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience,
+                    const std::stop_token& stop) {
   try {
     find_runs();
   } catch (const RunFileError&) {
@@ -367,9 +360,9 @@ void RunIndex::look(std::unique_lock<std::mutex>& lock, std::chrono::millisecond
   }
   if (!is_reading_ && !names("select name from run where is_read = 0 limit 1").empty()) {
     is_reading_ = true;
-    reader_ = std::jthread([this](const std::stop_token& stop) { read_new(stop); });
+    reader_ = std::jthread([this](const std::stop_token& ending) { read_new(ending); });
   }
-  was_read_.wait_for(lock, patience, [this] { return !is_reading_ || is_ending_; });
+  was_read_.wait_for(lock, stop, patience, [this] { return !is_reading_; });
 }
 
 std::vector<std::string> RunIndex::names_shown(const Asked& asked) {
@@ -431,9 +424,10 @@ RunIndex::Page RunIndex::page(const Asked& asked, std::chrono::milliseconds pati
   return page;
 }
 
-std::vector<RunIndex::RunOfItem> RunIndex::runs_of_item(const std::string& serial_number) {
+std::vector<RunIndex::RunOfItem> RunIndex::runs_of_item(const std::string& serial_number,
+                                                        const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
-  look(lock, std::chrono::hours(1));
+  look(lock, std::chrono::hours(1), stop);
   Asked asked;
   asked.item = serial_number;
   asked.state = to_string(RunState::kComplete);

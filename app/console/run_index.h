@@ -36,9 +36,6 @@ class RunIndex {
   static constexpr const char* kFile = ".abcal-runs.sqlite";
 
   explicit RunIndex(std::filesystem::path folder);
-  ~RunIndex();
-  RunIndex(const RunIndex&) = delete;
-  RunIndex& operator=(const RunIndex&) = delete;
 
   /// Runs that are asked for, newest first.
   struct Asked {
@@ -74,14 +71,15 @@ class RunIndex {
     std::vector<int> items;                         ///< Those with the serial number, measured to the end.
     std::map<int, nlohmann::ordered_json> charted;  ///< By item: what this version of abcal has kept.
   };
-  /// Oldest first. Waits until all runs are read.
-  std::vector<RunOfItem> runs_of_item(const std::string& serial_number);
+  /// Oldest first. Waits until all runs are read, or for the stop.
+  std::vector<RunOfItem> runs_of_item(const std::string& serial_number, const std::stop_token& stop);
   /// Keeps what a chart shows of an item, unless the run has changed since.
   void keep_charted(const RunOfItem& run, int item, const nlohmann::ordered_json& charted);
 
  private:
   /// Finds new, changed and removed runs, and waits for the thread that reads them.
-  void look(std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience);
+  void look(std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience,
+            const std::stop_token& stop = {});
   void find_runs();
   /// @return whether it is new or has changed
   bool find_run(const std::string& name);
@@ -100,7 +98,7 @@ class RunIndex {
   std::map<std::string, std::string> contents_;  ///< By name: that of each file when it was last looked at.
   std::string folder_contents_;
   bool folder_has_changed_ = true;
-  bool is_reading_ = false, is_ending_ = false;
+  bool is_reading_ = false;
   std::jthread reader_;  ///< It ends before the members that it uses.
 };
 

@@ -262,11 +262,12 @@ bool RunLibrary::is_charted(const std::string& property) {
   return std::find(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), property) != kIntrinsicSymbols.end();
 }
 
-Json RunLibrary::history(const std::string& serial_number, const std::string& property) {
+Json RunLibrary::history(const std::string& serial_number, const std::string& property,
+                         const std::stop_token& stop) {
   const auto index = static_cast<std::size_t>(
       std::find(kIntrinsicSymbols.begin(), kIntrinsicSymbols.end(), property) - kIntrinsicSymbols.begin());
   Json list = Json::array();
-  for (RunIndex::RunOfItem& run : index_.runs_of_item(serial_number)) {
+  for (RunIndex::RunOfItem& run : index_.runs_of_item(serial_number, stop)) {
     try {
       std::optional<AnalysedRun> analysed;  // Once for all items of the run.
       for (const int item : run.items) {

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <stop_token>
 #include <string>
 
 #include "app/console/run_index.h"
@@ -60,7 +61,8 @@ class RunLibrary {
   static bool is_charted(const std::string& property);
   /// One charted property in every complete run of one item, by the estimator that the run declares, oldest
   /// first, with the limits of a control chart of single values.
-  nlohmann::ordered_json history(const std::string& serial_number, const std::string& property);
+  nlohmann::ordered_json history(const std::string& serial_number, const std::string& property,
+                                 const std::stop_token& stop);
 
  private:
   static constexpr std::chrono::milliseconds kPatience{500};
