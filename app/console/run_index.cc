@@ -43,7 +43,7 @@ constexpr const char* kTables =
     "create index counted on run (verdict, created_utc, state, bench);"
     "create index unread on run (time, name) where is_read = 0;"
     "create index open on run (name) where is_read = 0 or is_closed = 0 or verdict = '';"
-    "create table words (name text primary key, summary text not null, search text not null) without rowid;"
+    "create table words (name text primary key, summary text not null) without rowid;"
     "create table chart (name text, item integer, program text not null, charted text not null,"
     " primary key (name, item)) without rowid;";
 
@@ -171,7 +171,7 @@ Conditions conditions_of(const RunIndex::Asked& asked) {
   if (!asked.state.empty()) all.add("state = ?", asked.state);
   if (!asked.bench.empty()) all.add("bench = ?", asked.bench);
   std::istringstream words(pieces::lower(asked.search));
-  for (std::string word; words >> word; all.need_words = true) all.add("instr(search, ?) > 0", word);
+  for (std::string word; words >> word; all.need_words = true) all.add("instr(lower(summary), ?) > 0", word);
   if (!asked.item.empty()) {
     all.add(
         "exists (select 1 from json_each(summary, '$.items') where json_extract(value, '$.serial_number') = "
@@ -235,10 +235,9 @@ bool RunIndex::find_run(const std::string& name) {
       .bind(4, std::string_view(kNotReadYet))
       .run();
   const std::string summary = json_text(Json{{"name", name}, {"state", kNotReadYet}});
-  database_.prepare("insert or replace into words values (?1, ?2, ?3)")
+  database_.prepare("insert or replace into words values (?1, ?2)")
       .bind(1, std::string_view(name))
       .bind(2, std::string_view(summary))
-      .bind(3, std::string_view(pieces::lower(summary)))
       .run();
   database_.prepare("delete from chart where name = ?").bind(1, std::string_view(name)).run();
   return true;
@@ -279,10 +278,9 @@ void RunIndex::store(const std::string& name, const std::string& contents, const
       .bind(5, std::string_view(read.summary.value("bench", "")))
       .bind(6, std::string_view(read.summary.value("created_utc", "")))
       .run();
-  database_.prepare("insert or replace into words values (?1, ?2, ?3)")
+  database_.prepare("insert or replace into words values (?1, ?2)")
       .bind(1, std::string_view(name))
       .bind(2, std::string_view(text))
-      .bind(3, std::string_view(pieces::lower(text)))
       .run();
   find_results(name);
 }

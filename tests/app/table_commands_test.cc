@@ -164,9 +164,10 @@ TEST_F(TableCommands, AMappingThatIsWrongIsRefusedWithEveryProblem) {
 
 TEST_F(TableCommands, AnEstimatorThatNeedsAnglesNamesTheOneThatDoesNot) {
   write_poses("a.csv", 1);
+  write_poses("b.csv", 2);
   for (const char* command : {"analyse", "uncertainty", "compare"}) {
     std::vector<std::string> arguments{command, "a.csv", "--estimator", "joint"};
-    if (arguments.front() == "compare") arguments.insert(arguments.begin() + 1, "a.csv");
+    if (arguments.front() == "compare") arguments.insert(arguments.begin() + 1, "b.csv");
     const ProgramResult result = abcal(arguments);
     EXPECT_EQ(result.exit_code, 2) << command;
     EXPECT_THAT(result.err, AllOf(HasSubstr("--estimator norm"), HasSubstr("alpha_deg"))) << command;

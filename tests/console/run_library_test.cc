@@ -285,7 +285,7 @@ TEST_F(RunLibraryTest, ListsWhatTheFilesSayWhateverHappensToThem) {
   EXPECT_EQ(last, read_anew());
   RunLibrary::PageAsked complete;
   complete.state = "complete";
-  complete.search = "C.RUN";
+  complete.search = "C.RUN usable";
   const Json page = library.page(complete);
   EXPECT_EQ(page["found"], 1);
   EXPECT_EQ(page["verdicts"], Json({{"usable", 1}}));

@@ -207,7 +207,7 @@ NamedResult look_at(const std::string& name, int item, bool alone) {
 }
 
 /// A certificate, or a table of quantities with their covariance.
-ComparedResult stated_result(const NamedResult& of) {
+ComparedResult certificate_or_table(const NamedResult& of) {
   ComparedResult stated =
       looks_like_xml(of.named.file) ? read_certificate(of.named.file) : read_covariance_table(of.named.file);
   stated.path = of.identity.path;
@@ -330,7 +330,7 @@ std::vector<ComparedResult> load_compared(const std::vector<std::string>& names,
   std::vector<ComparedResult> results;
   for (const NamedResult& file : files) {
     if (!file.has_runs) {
-      results.push_back(stated_result(file));
+      results.push_back(certificate_or_table(file));
       continue;
     }
     LoadedFile& of = loaded[file.identity.path];
