@@ -222,7 +222,7 @@ std::vector<std::string> RunIndex::names(std::string_view query) {
 
 bool RunIndex::find_run(const std::string& name) {
   std::int64_t time = 0;
-  // What a run in progress stores is in its log at first.
+  // A run in progress stores its angles in its log at first.
   const std::string contents = contents_of(folder_ / name, &time) + contents_of(folder_ / (name + "-wal"));
   if (std::string& known = contents_[name]; std::exchange(known, contents) == contents) return false;
   database_
