@@ -1,5 +1,7 @@
 #include "protocol/record/run_seal.h"
 
+#include <utility>
+
 #include "protocol/record/results_file.h"
 #include "protocol/record/sqlite.h"
 
@@ -50,6 +52,14 @@ std::vector<StoredAnalysis> stored_analyses(const std::filesystem::path& run_pat
       database.prepare("select utc, program_version, estimator, result_json from analysis order by id");
   while (rows.step()) analyses.push_back({rows.text(0), rows.text(1), rows.text(2), rows.text(3)});
   return analyses;
+}
+
+std::optional<StoredAnalysis> last_analysis(const std::filesystem::path& run_path,
+                                            const std::string& estimator) {
+  std::optional<StoredAnalysis> last;
+  for (StoredAnalysis& each : stored_analyses(run_path))
+    if (each.estimator == estimator) last = std::move(each);
+  return last;
 }
 
 }  // namespace abcal

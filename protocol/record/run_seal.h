@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,5 +37,9 @@ struct StoredAnalysis {
 
 /// The analyses stored for a run, oldest first; none where there are no results.
 std::vector<StoredAnalysis> stored_analyses(const std::filesystem::path& run_path);
+
+/// The last one of an estimator, if there is any.
+std::optional<StoredAnalysis> last_analysis(const std::filesystem::path& run_path,
+                                            const std::string& estimator);
 
 }  // namespace abcal

@@ -245,7 +245,7 @@ class Inspection {
   void check_persons(const IssueFacts& issue, const std::vector<RunOperator>& operators,
                      bool has_registered_equipment) {
     for (const RunOperator& who : operators) {
-      if (one_of("measure", who.name) == nullptr)
+      if (laboratory_.person_who_may("measure", who.name) == nullptr)
         of_run_.push_back({{},
                            Message("measured by"),
                            quoted(who.name),
@@ -276,7 +276,7 @@ class Inspection {
            Message("equipment"),
            Message("nothing that the register named when the run began"),
            Message("calibrations in the register (`abcal lab add calibration`) before the run")});
-    if (one_of("approve", issue.approved_by) == nullptr)
+    if (laboratory_.person_who_may("approve", issue.approved_by) == nullptr)
       of_run_.push_back({{},
                          Message("approved by"),
                          quoted(issue.approved_by),
@@ -311,16 +311,10 @@ class Inspection {
                          Message("not after today, {today}", format_date(*issue.today))});
   }
 
-  const Person* one_of(const std::string& may, const std::string& name) const {
-    for (const Person& person : laboratory_.persons)
-      if (person.name == name && std::find(person.may.begin(), person.may.end(), may) != person.may.end())
-        return &person;
-    return nullptr;
-  }
   Message names(const std::string& may) const {
     std::vector<Message> all;
     for (const Person& person : laboratory_.persons)
-      if (one_of(may, person.name) == &person) all.push_back(quoted(person.name));
+      if (laboratory_.person_who_may(may, person.name) == &person) all.push_back(quoted(person.name));
     return all.empty() ? Message("the [[person]] entries") : in_sequence(all, ", ");
   }
 
@@ -356,7 +350,7 @@ class Inspection {
                            Message("given in the bench file before the run")});
     }
     const std::string name = data.label("operator.name");
-    if (!name.empty() && one_of("measure", name) == nullptr)
+    if (!name.empty() && laboratory_.person_who_may("measure", name) == nullptr)
       of_run_.push_back({which, Message("operator"), quoted(name),
                          Message("one of {names}, who may measure", names("measure"))});
   }

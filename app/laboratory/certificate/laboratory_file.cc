@@ -213,6 +213,13 @@ std::optional<Date> parse_date(std::string_view text) {
   return date.ok() ? std::optional(date) : std::nullopt;
 }
 
+const Person* LaboratoryFile::person_who_may(const std::string& right, const std::string& name) const {
+  for (const Person& person : persons)
+    if (person.name == name && std::find(person.may.begin(), person.may.end(), right) != person.may.end())
+      return &person;
+  return nullptr;
+}
+
 LaboratoryFileError::LaboratoryFileError(const std::string& source, std::vector<Problem> problems)
     : std::invalid_argument([&] {
         std::string text = fmt::format("laboratory file {}: {} problem{}", source, problems.size(),

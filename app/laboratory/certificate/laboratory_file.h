@@ -92,6 +92,9 @@ struct LaboratoryFile {
   std::vector<ScopeLimit> scope;  ///< No smaller uncertainty is stated.
   std::vector<std::string>
       units;  ///< Units of sensitivity in addition to those of the certificate: "mV/g_n".
+
+  /// The person of this name if it has the right "measure" or "approve"; else null.
+  const Person* person_who_may(const std::string& right, const std::string& name) const;
 };
 
 /// Reports all problems of a laboratory file that cannot be used, with their lines.

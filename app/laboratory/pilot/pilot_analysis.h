@@ -47,6 +47,11 @@ struct PilotAnalysis {
     return faulty.empty() && !transferred.step && consistency.joint.probability >= protocol.level;
   }
   std::string step_words() const;  ///< Empty without a step.
+  /// Place of a participant's quantity in the vectors of results.
+  Eigen::Index place(std::size_t participant, std::size_t quantity) const {
+    return static_cast<Eigen::Index>(participant) * transferred.results.quantities +
+           static_cast<Eigen::Index>(quantity);
+  }
 };
 
 /// Probability below which a participant is named, and a step of the artefact reported.

@@ -56,9 +56,7 @@ void refuse(const PilotAnalysis& analysis, const std::vector<Problem>& problems)
 
 void require_facts(const PilotAnalysis& analysis, const PilotCertificate& facts) {
   std::vector<Problem> problems;
-  const auto approver = std::ranges::find(facts.laboratory.persons, facts.approved_by, &Person::name);
-  if (approver == facts.laboratory.persons.end() ||
-      std::ranges::find(approver->may, "approve") == approver->may.end())
+  if (facts.laboratory.person_who_may("approve", facts.approved_by) == nullptr)
     problems.push_back({"--approved-by", "\"" + facts.approved_by + "\"",
                         "a person of the laboratory file who may approve"});
   if (one_line(facts.number).empty())
@@ -158,10 +156,9 @@ void add_reference(XmlElement& results, const PilotAnalysis& analysis) {
   }
 }
 
-std::vector<Index> places_of_quantity(const PilotAnalysis& analysis, Index quantity) {
+std::vector<Index> places_of_quantity(const PilotAnalysis& analysis, std::size_t quantity) {
   std::vector<Index> at;
-  for (std::size_t i = 0; i < analysis.participants.size(); ++i)
-    at.push_back(static_cast<Index>(i) * analysis.transferred.results.quantities + quantity);
+  for (std::size_t i = 0; i < analysis.participants.size(); ++i) at.push_back(analysis.place(i, quantity));
   return at;
 }
 
@@ -172,7 +169,7 @@ void add_differences(XmlElement& results, const PilotAnalysis& analysis) {
   XmlElement data = add_result(results, "comparison_equivalenceValue",
                                english("Degrees of equivalence: result minus reference value"));
   for (std::size_t q = 0; q < analysis.units.size(); ++q) {
-    const std::vector<Index> at = places_of_quantity(analysis, static_cast<Index>(q));
+    const std::vector<Index> at = places_of_quantity(analysis, q);
     const MatrixXd covariance = reference.difference_covariance(at, at);
     ValueList list = list_with_expanded(labels, reference.differences(at), covariance.diagonal().cwiseSqrt(),
                                         reference.expanded(at), analysis.units[q]);
@@ -183,7 +180,7 @@ void add_differences(XmlElement& results, const PilotAnalysis& analysis) {
                               english("E_n: degree of equivalence divided by its expanded uncertainty"));
   for (std::size_t q = 0; q < analysis.units.size(); ++q) {
     std::vector<std::string> numbers;
-    for (const Index at : places_of_quantity(analysis, static_cast<Index>(q)))
+    for (const Index at : places_of_quantity(analysis, q))
       numbers.push_back(fmt::format("{:.2f}", reference.differences(at) / reference.expanded(at)));
     XmlElement quantity =
         add_quantity(e_n, "comparison_equivalenceValueEnCriterion", {analysis.protocol.quantities[q], {}});

@@ -68,12 +68,6 @@ struct DifferenceScale {
   }
 };
 
-/// All places of one quantity in a vector of results, participant by participant.
-Index place(const PilotAnalysis& analysis, std::size_t participant, std::size_t quantity) {
-  return static_cast<Index>(participant) * analysis.transferred.results.quantities +
-         static_cast<Index>(quantity);
-}
-
 Section comparison_section(const PilotAnalysis& analysis) {
   const ComparisonProtocol& protocol = analysis.protocol;
   FactList facts;
@@ -228,7 +222,7 @@ Figure difference_figure(const PilotAnalysis& analysis, std::size_t quantity) {
                    .x = {},
                    .y = {}};
   for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
-    const Index at = place(analysis, i, quantity);
+    const Index at = analysis.place(i, quantity);
     PlotSeries& series =
         reference.contributes(static_cast<Index>(i), static_cast<Index>(quantity)) != 0 ? part : apart;
     series.x.push_back(static_cast<double>(i) + 1.0);
@@ -254,7 +248,7 @@ Figure difference_figure(const PilotAnalysis& analysis, std::size_t quantity) {
 double largest_expanded(const PilotAnalysis& analysis, std::size_t quantity) {
   double largest = 0.0;
   for (std::size_t i = 0; i < analysis.participants.size(); ++i)
-    largest = std::max(largest, analysis.reference.expanded(place(analysis, i, quantity)));
+    largest = std::max(largest, analysis.reference.expanded(analysis.place(i, quantity)));
   return largest;
 }
 
@@ -274,7 +268,7 @@ DocumentTable differences_table(const PilotAnalysis& analysis, std::size_t quant
                       CellKind::kUnit};
   if (with_z) table.columns.push_back({"z", CellKind::kNumber});
   for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
-    const Index at = place(analysis, i, quantity);
+    const Index at = analysis.place(i, quantity);
     const Scores scores = scores_of(
         reference.differences(at), std::sqrt(reference.difference_covariance(at, at)), reference.expanded(at),
         with_z ? std::optional(analysis.protocol.sigma_pt[quantity]) : std::nullopt);
@@ -361,7 +355,7 @@ DocumentTable detectable_table(const PilotAnalysis& analysis) {
   for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
     table.rows.push_back({analysis.participants[i]});
     for (std::size_t q = 0; q < analysis.units.size(); ++q) {
-      const Index at = place(analysis, i, q);
+      const Index at = analysis.place(i, q);
       table.rows.back().push_back(
           fmt::format("{:.1f}", analysis.detectable(at) / std::sqrt(results.covariance(at, at))));
     }
@@ -408,7 +402,7 @@ Section link_section(const PilotAnalysis& analysis) {
     const DifferenceScale scale(largest_expanded(analysis, q));
     table.rows.push_back({analysis.protocol.quantities[q], scale.unit(analysis.units[q])});
     for (std::size_t i = 0; i < analysis.participants.size(); ++i) {
-      const Index at = place(analysis, i, q);
+      const Index at = analysis.place(i, q);
       const double expanded =
           analysis.transferred.results.coverage_factors[i] * std::sqrt(linked.covariance(at, at));
       table.rows.back().push_back(scale.number(linked.differences(at)) + " ± " + scale.number(expanded));

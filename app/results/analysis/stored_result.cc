@@ -4,10 +4,8 @@
 #include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <ranges>
 #include <string_view>
 #include <utility>
-#include <vector>
 
 #include "app/system/version.h"
 #include "protocol/record/run_seal.h"
@@ -107,9 +105,8 @@ bool is_whole(const CalibrationResult& result) {
 /// The last stored analysis of an estimator; nullopt if it is not this version's.
 std::optional<CalibrationResult> last_result(const std::filesystem::path& run, const std::string& estimator) {
   if (!analyses_are_linked(run)) return std::nullopt;
-  const std::vector<StoredAnalysis> stored = stored_analyses(run);
-  const auto last = std::ranges::find(stored | std::views::reverse, estimator, &StoredAnalysis::estimator);
-  if (last == stored.rend() || last->program_version != program_version()) return std::nullopt;
+  const std::optional<StoredAnalysis> last = last_analysis(run, estimator);
+  if (!last || last->program_version != program_version()) return std::nullopt;
   const nlohmann::json json = nlohmann::json::parse(last->result_json);
   if (json.at("schema") != "abcal.result/1" || json.at("estimator") != estimator ||
       json.at("verdict") != to_string(Verdict::kUsable) || json.contains("item"))
