@@ -5,8 +5,7 @@
 #include <sys/stat.h>
 
 #include <algorithm>
-#include <functional>
-#include <iterator>
+#include <set>
 #include <sstream>
 #include <utility>
 
@@ -126,15 +125,12 @@ Json items_of(const StoredRun& run) {
 /// The verdict of the estimator that was chosen for a run, as stored when the run was closed; empty: the run
 /// is not analysed, or its results cannot be read.
 std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
-  std::string verdict;
   try {
-    for (const StoredAnalysis& each : stored_analyses(path))
-      if (each.estimator == estimator)
-        verdict = Json::parse(each.result_json).at("verdict").get<std::string>();
+    const std::optional<StoredAnalysis> last = last_analysis(path, estimator);
+    return last ? Json::parse(last->result_json).at("verdict").get<std::string>() : "";
   } catch (const std::exception&) {
     return "";  // The run's own page shows the reason.
   }
-  return verdict;
 }
 
 RunIndex::ReadRun read_run(const std::filesystem::path& path) {
@@ -209,9 +205,18 @@ Json run_summary(const std::string& name, const StoredRun& run) {
           {"verdict", ""}};
 }
 
-RunIndex::RunIndex(std::filesystem::path folder) : folder_(std::move(folder)), database_(open_in(folder_)) {
-  for (SqliteStatement row = database_.prepare("select name, contents from run"); row.step();)
-    contents_[row.text(0)] = row.text(1);
+RunIndex::RunIndex(std::filesystem::path folder) : folder_(std::move(folder)), database_(open_in(folder_)) {}
+
+template <class Ask>
+auto RunIndex::on_disk_or_in_memory(const Ask& ask) {
+  try {
+    return ask();
+  } catch (const RunFileError&) {
+    database_ = made_ready(":memory:");
+    folder_has_changed_ = true;
+  }
+  find_runs();
+  return ask();
 }
 
 std::vector<std::string> RunIndex::names(std::string_view query) {
@@ -220,11 +225,16 @@ std::vector<std::string> RunIndex::names(std::string_view query) {
   return found;
 }
 
+bool RunIndex::has_contents(const std::string& name, const std::string& contents) {
+  SqliteStatement row = database_.prepare("select 1 from run where name = ?1 and contents = ?2");
+  return row.bind(1, std::string_view(name)).bind(2, std::string_view(contents)).step();
+}
+
 bool RunIndex::find_run(const std::string& name) {
   std::int64_t time = 0;
   // A run in progress stores its angles in its log at first.
   const std::string contents = contents_of(folder_ / name, &time) + contents_of(folder_ / (name + "-wal"));
-  if (std::string& known = contents_[name]; std::exchange(known, contents) == contents) return false;
+  if (has_contents(name, contents)) return false;
   database_
       .prepare(
           "insert into run (name, contents, time, is_read, state) values (?1, ?2, ?3, 0, ?4) on conflict "
@@ -265,8 +275,7 @@ void RunIndex::find_results(const std::string& name) {
 }
 
 void RunIndex::store(const std::string& name, const std::string& contents, const ReadRun& read) {
-  // It may have changed or been removed meanwhile.
-  if (const auto known = contents_.find(name); known == contents_.end() || known->second != contents) return;
+  if (!has_contents(name, contents)) return;  // It has changed or was removed meanwhile.
   const std::string text = json_text(read.summary);
   database_
       .prepare(
@@ -293,17 +302,17 @@ void RunIndex::find_runs() {
   const bool has_changed = std::exchange(folder_contents_, folder) != folder;
   Transaction changes(database_);
   if (std::exchange(folder_has_changed_, has_changed) || has_changed) {
-    std::map<std::string, std::string> before = contents_;
+    const std::vector<std::string> known = names("select name from run");
+    std::set<std::string> gone(known.begin(), known.end());
     std::error_code error;
     for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
          at.increment(error)) {
       if (!is_run(at->path())) continue;
       const std::string name = at->path().filename().string();
       find_run(name);
-      before.erase(name);
+      gone.erase(name);
     }
-    for (const auto& [name, contents] : before) {
-      contents_.erase(name);
+    for (const std::string& name : gone) {
       for (const char* table : {"run", "words", "chart"})
         database_.prepare(fmt::format("delete from {} where name = ?", table))
             .bind(1, std::string_view(name))
@@ -318,31 +327,23 @@ void RunIndex::find_runs() {
   changes.commit();
 }
 
-void RunIndex::leave_the_disk() {
-  database_ = made_ready(":memory:");
-  contents_.clear();
-  folder_has_changed_ = true;
-}
-
 void RunIndex::read_new(const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
-  while (!stop.stop_requested()) {
-    const std::vector<std::string> next =
-        names("select name from run where is_read = 0 order by time desc, name desc limit 1");
-    if (next.empty()) break;
-    const std::string& name = next.front();
-    const std::string contents = contents_[name];
+  const auto next = [this] {
+    SqliteStatement row = database_.prepare(
+        "select name, contents from run where is_read = 0 order by time desc, name desc limit 1");
+    return row.step() ? std::optional(std::pair(row.text(0), row.text(1))) : std::nullopt;
+  };
+  while (const auto found = stop.stop_requested() ? std::nullopt : on_disk_or_in_memory(next)) {
+    const auto& [name, contents] = *found;
     lock.unlock();
     const ReadRun read = read_run(folder_ / name);
     lock.lock();
-    try {
+    on_disk_or_in_memory([&] {
       Transaction changes(database_);
       store(name, contents, read);
       changes.commit();
-    } catch (const RunFileError&) {
-      leave_the_disk();
-      find_runs();
-    }
+    });
     was_read_.notify_all();
   }
   is_reading_ = false;
@@ -351,12 +352,7 @@ void RunIndex::read_new(const std::stop_token& stop) {
 
 void RunIndex::look(std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience,
                     const std::stop_token& stop) {
-  try {
-    find_runs();
-  } catch (const RunFileError&) {
-    leave_the_disk();
-    find_runs();
-  }
+  find_runs();
   if (!is_reading_ && !names("select name from run where is_read = 0 limit 1").empty()) {
     is_reading_ = true;
     reader_ = std::jthread([this](const std::stop_token& ending) { read_new(ending); });
@@ -386,6 +382,11 @@ std::vector<std::string> RunIndex::names_shown(const Asked& asked) {
 
 RunIndex::Page RunIndex::page(const Asked& asked, std::chrono::milliseconds patience) {
   std::unique_lock lock(mutex_);
+  return on_disk_or_in_memory([&] { return page_of(asked, lock, patience); });
+}
+
+RunIndex::Page RunIndex::page_of(const Asked& asked, std::unique_lock<std::mutex>& lock,
+                                 std::chrono::milliseconds patience) {
   look(lock, patience);
   bool has_changed = false;
   for (const std::string& name : names_shown(asked)) {
@@ -426,7 +427,13 @@ RunIndex::Page RunIndex::page(const Asked& asked, std::chrono::milliseconds pati
 std::vector<RunIndex::RunOfItem> RunIndex::runs_of_item(const std::string& serial_number,
                                                         const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
-  look(lock, std::chrono::hours(1), stop);
+  return on_disk_or_in_memory([&] {
+    look(lock, std::chrono::hours(1), stop);
+    return complete_runs_of_item(serial_number);
+  });
+}
+
+std::vector<RunIndex::RunOfItem> RunIndex::complete_runs_of_item(const std::string& serial_number) {
   Asked asked;
   asked.item = serial_number;
   asked.state = to_string(RunState::kComplete);
@@ -453,14 +460,15 @@ std::vector<RunIndex::RunOfItem> RunIndex::runs_of_item(const std::string& seria
 
 void RunIndex::keep_charted(const RunOfItem& run, int item, const Json& charted) {
   const std::lock_guard lock(mutex_);
-  if (const auto known = contents_.find(run.name); known == contents_.end() || known->second != run.contents)
-    return;
-  database_.prepare("insert or replace into chart values (?1, ?2, ?3, ?4)")
-      .bind(1, std::string_view(run.name))
-      .bind(2, std::int64_t{item})
-      .bind(3, std::string_view(program_version()))
-      .bind(4, std::string_view(json_text(charted)))
-      .run();
+  on_disk_or_in_memory([&] {
+    if (!has_contents(run.name, run.contents)) return;
+    database_.prepare("insert or replace into chart values (?1, ?2, ?3, ?4)")
+        .bind(1, std::string_view(run.name))
+        .bind(2, std::int64_t{item})
+        .bind(3, std::string_view(program_version()))
+        .bind(4, std::string_view(json_text(charted)))
+        .run();
+  });
 }
 
 }  // namespace abcal::console

@@ -85,17 +85,21 @@ class RunIndex {
   bool find_run(const std::string& name);
   void find_results(const std::string& name);
   void read_new(const std::stop_token& stop);
+  /// Whether the files of a run, when they were last looked at, had these contents.
+  bool has_contents(const std::string& name, const std::string& contents);
   void store(const std::string& name, const std::string& contents, const ReadRun& read);
+  Page page_of(const Asked& asked, std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience);
+  std::vector<RunOfItem> complete_runs_of_item(const std::string& serial_number);
   std::vector<std::string> names(std::string_view query);
   std::vector<std::string> names_shown(const Asked& asked);
-  /// The disk does not take the database any more: it goes on in memory.
-  void leave_the_disk();
+  /// Asks the database; where the disk does not give or take it any more, once more in memory.
+  template <class Ask>
+  auto on_disk_or_in_memory(const Ask& ask);
 
   const std::filesystem::path folder_;
   std::mutex mutex_;
   std::condition_variable_any was_read_;  ///< A run was read, or the thread has nothing left to read.
   SqliteDatabase database_;
-  std::map<std::string, std::string> contents_;  ///< By name: that of each file when it was last looked at.
   std::string folder_contents_;
   bool folder_has_changed_ = true;
   bool is_reading_ = false;
