@@ -11,6 +11,7 @@
 #include "app/bench_file/bench_records.h"
 #include "app/formats/toml_reader.h"
 #include "app/formats/toml_writer.h"
+#include "drivers/instrument/driver_catalogue.h"
 
 namespace abcal {
 BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
@@ -21,6 +22,11 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
         return text;
       }()),
       problems_(std::move(problems)) {}
+
+bool BenchConfig::turned_by_hand() const {
+  return !stage.split() && stage.driver != "simulated" &&
+         !find_in(driver_catalogue().stages, stage.driver).has_port;
+}
 
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
   return parse_bench(text, source, {});

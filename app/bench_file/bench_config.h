@@ -181,6 +181,11 @@ struct BenchConfig {
   /// Runs of several items and series over temperature are measured in one face.
   bool allows_two_faces() const { return !has_several_items() && temperature.set_points_degc.empty(); }
 
+  /// A stage that is turned by hand has no rate, and series over temperature are measured in steps.
+  bool allows_constant_rate() const { return !turned_by_hand() && temperature.set_points_degc.empty(); }
+  /// The stage has no port: a person turns it.
+  bool turned_by_hand() const;
+
   bool operator==(const BenchConfig&) const = default;
   /// Equal but for the warnings of the file that was read.
   bool is_same_bench(BenchConfig other) const { return other.warnings = warnings, *this == other; }

@@ -303,9 +303,7 @@ void check_stage_axes(TomlReader& reader, const toml::table& root, BenchConfig& 
 /// Reports plans at a constant rate that cannot be measured, as far as the bench file shows this.
 void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
   const ProtocolConfig& p = c.protocol;
-  const bool by_hand = !c.stage.split() && c.stage.driver != "simulated" &&
-                       !find_in(driver_catalogue().stages, c.stage.driver).has_port;
-  if (by_hand)
+  if (c.turned_by_hand())
     reader.add_problem("protocol.motion", "\"constant_rate\" with driver \"" + c.stage.driver + "\"",
                        "a stage that turns at a stated rate, or \"steps\"");
   if (p.faces == kFaces)

@@ -80,9 +80,15 @@ void print_prediction(const PlanPrediction& plan, const WantedValues& wanted) {
 
 void print_plan(const PlanPrediction& plan, double rate_hz) {
   const PlanDuration& duration = plan.duration;
-  print_result("{} angles of {:g} deg, {} readings at each ({:.3g} s)\n", circles_and_angles(plan.protocol),
-               plan.protocol.step.deg() * plan.protocol.faces, plan.protocol.dwell_readings,
-               readings_per_dwell(plan.protocol, rate_hz) / rate_hz);
+  const ProtocolConfig& protocol = plan.protocol;
+  if (protocol.is_constant_rate())
+    print_result("Constant rate: {} at {:.3g} deg/s, up and down in turn, in {} steps of {:g} deg\n",
+                 circles_and_angles(protocol), fmt::join(protocol.rate_deg_per_s, ", "), protocol.steps,
+                 protocol.step.deg());
+  else
+    print_result("{} angles of {:g} deg, {} readings at each ({:.3g} s)\n", circles_and_angles(protocol),
+                 protocol.step.deg() * protocol.faces, protocol.dwell_readings,
+                 readings_per_dwell(protocol, rate_hz) / rate_hz);
   print_result("About {}: moving {}, settling {}, reading {}\n", describe_duration(duration.total_s()),
                describe_duration(duration.moving_s), describe_duration(duration.settling_s),
                describe_duration(duration.dwelling_s));
@@ -99,15 +105,22 @@ nlohmann::ordered_json prediction_json(const PlanPrediction& plan, const WantedV
         {"largest_part", plan.limits[group].name},
         {"share", plan.limits[group].share}};
   }
-  return {{"steps", plan.protocol.steps},
-          {"faces", plan.protocol.faces},
-          {"step_deg", plan.protocol.step.deg()},
-          {"dwell_readings", plan.protocol.dwell_readings},
-          {"estimator", plan.protocol.estimator},
-          {"moving_s", plan.duration.moving_s},
-          {"settling_s", plan.duration.settling_s},
-          {"dwelling_s", plan.duration.dwelling_s},
-          {"outputs", outputs}};
+  const ProtocolConfig& protocol = plan.protocol;
+  nlohmann::ordered_json json{{"motion", protocol.motion}};
+  if (protocol.is_constant_rate()) {
+    json["rate_deg_per_s"] = protocol.rate_deg_per_s;
+    json["sweeps"] = protocol.sweeps;
+  }
+  json.update({{"steps", protocol.steps},
+               {"faces", protocol.faces},
+               {"step_deg", protocol.step.deg()},
+               {"dwell_readings", protocol.dwell_readings},
+               {"estimator", protocol.estimator},
+               {"moving_s", plan.duration.moving_s},
+               {"settling_s", plan.duration.settling_s},
+               {"dwelling_s", plan.duration.dwelling_s},
+               {"outputs", outputs}});
+  return json;
 }
 
 /// The wanted uncertainties, and the bench with its noise.
@@ -188,7 +201,15 @@ void plot_curve(const std::string& path, const std::vector<PlanPrediction>& plan
   OutputFile(path).write(draw_svg(script + "\n", 400));
 }
 
-void print_answer(const PlanQuestion& question, const FoundPlan& found) {
+/// The plans that were tried, apart from what is said of a record of the stage.
+std::string tried_words(const PlanSearch& search) {
+  std::string words = "steps in one face";
+  if (search.tried_two_faces()) words += ", steps in two faces";
+  if (search.tried_sweeps()) words += ", turning at a constant rate";
+  return words;
+}
+
+void print_answer(const PlanQuestion& question, const FoundPlan& found, const PlanSearch& search) {
   const BenchConfig& config = question.bench.config;
   for (const std::string& words : found.out_of_reach) print_result("Out of reach: {}\n", words);
   if (found.plan) {
@@ -196,8 +217,14 @@ void print_answer(const PlanQuestion& question, const FoundPlan& found) {
     print_prediction(*found.plan, question.wanted);
     print_result("{}.\n", check_words(found));
   }
-  print_result("Tried: steps in one face{}{}.\n",
-               config.allows_two_faces() ? " and, where the travel allows them, in two" : "",
+  for (const AxisSpeed& speed : question.bench.speed) {
+    if (speed.deg_per_s > 0.0) continue;
+    print_result(
+        "The speed of an axis is not stated ([stage.x] and [stage.z] speed_deg_per_s): its moves are not "
+        "counted, and no constant rate is tried.\n");
+    break;
+  }
+  print_result("Tried: {}{}.\n", tried_words(search),
                question.bench.stage_record.record ? "; with the record of the stage" : "");
   print_result("Noise of one reading: {:.3g} g_loc, taken as white. The item {}. Estimator: {}.\n",
                question.bench.item.noise,
@@ -279,7 +306,7 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
   PlanSearch search(question.bench);
   const FoundPlan found = answer_to(question, options, search);
   if (options.write && found.plan) write_into_bench_file(options, *found.plan);
-  if (!options.json) print_answer(question, found);
+  if (!options.json) print_answer(question, found, search);
   std::vector<PlanPrediction> others;
   if (options.others || !options.plot.empty()) others = curve(search, wanted);
   if (!options.plot.empty()) plot_curve(options.plot, others);

@@ -27,6 +27,10 @@ PredictedPlan public_plan(const ::abcal::PlanPrediction& prediction) {
     plan.u[symbol] = prediction.u[group];
     plan.largest_part[symbol] = prediction.limits[group].name;
   }
+  if (prediction.protocol.is_constant_rate()) {
+    plan.rate_deg_per_s = prediction.protocol.rate_deg_per_s;
+    plan.sweeps = prediction.protocol.sweeps;
+  }
   return plan;
 }
 
@@ -88,6 +92,7 @@ PredictedPlan predict(const std::filesystem::path& bench_file, int steps, int dw
                                             ::abcal::kLeastReadings, ::abcal::kMostReadings));
   const ::abcal::PlanningBench bench = bench_of(bench_file, question);
   ::abcal::ProtocolConfig protocol = bench.config.protocol;
+  protocol.motion = ::abcal::kMotionNames[0];
   protocol.steps = steps;
   protocol.step = ::abcal::Angle::degrees(360.0 / steps);
   protocol.dwell_readings = dwell_readings;

@@ -22,6 +22,10 @@ struct PredictedPlan {
   std::map<std::string, double> u;
   std::map<std::string, std::string>
       largest_part;  ///< Largest part of each group: "noise of the readings", "wobble of X", ...
+  /// Empty: in steps. Otherwise the stage turns at these rates, up and down in turn, and `steps` divide each
+  /// sweep.
+  std::vector<double> rate_deg_per_s;
+  int sweeps = 0;  ///< Of each circle, at a constant rate.
 };
 
 struct PlanQuestion {

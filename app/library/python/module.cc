@@ -338,7 +338,9 @@ void add_plans(py::module_& m) {
       .def_readonly("dwelling_s", &PredictedPlan::dwelling_s)
       .def_property_readonly("duration_s", &PredictedPlan::duration_s)
       .def_readonly("u", &PredictedPlan::u, "By group: 's', 'off', 'O' (relative, g_loc), 'phi' (degree).")
-      .def_readonly("largest_part", &PredictedPlan::largest_part);
+      .def_readonly("largest_part", &PredictedPlan::largest_part)
+      .def_readonly("rate_deg_per_s", &PredictedPlan::rate_deg_per_s, "Empty: in steps.")
+      .def_readonly("sweeps", &PredictedPlan::sweeps, "Of each circle, at a constant rate.");
   py::class_<PlanAnswer>(m, "PlanAnswer", "The plan that was found, or why there is none.")
       .def_readonly("plan", &PlanAnswer::plan)
       .def_readonly("out_of_reach", &PlanAnswer::out_of_reach);

@@ -17,7 +17,8 @@
 namespace abcal {
 namespace {
 
-KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, const sim::AxisTruth& truth) {
+KnownAxis known_axis(const BenchConfig& config, const StageAxisConfig& axis, const sim::AxisTruth& truth) {
+  const StageConfig& stage = config.stage;
   KnownAxis known;
   const bool simulated = stage.port == "simulated";
   if (simulated) {
@@ -29,6 +30,10 @@ KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, cons
   if (axis.travel_max_deg)
     known.travel.max = std::min(known.travel.max, Angle::degrees(*axis.travel_max_deg));
   if (axis.speed_deg_per_s) known.speed.deg_per_s = *axis.speed_deg_per_s;
+  // Who has the stage turn at a rate says that it reaches it.
+  const ProtocolConfig& protocol = config.protocol;
+  if (!(known.speed.deg_per_s > 0.0) && protocol.is_constant_rate())
+    known.speed = {std::ranges::max(protocol.rate_deg_per_s), protocol.acceleration_deg_per_s2};
   known.travel_assumed = !simulated && !(axis.travel_min_deg && axis.travel_max_deg);
   return known;
 }
@@ -36,8 +41,8 @@ KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, cons
 }  // namespace
 
 std::array<KnownAxis, 2> known_axes(const BenchConfig& config) {
-  return {known_axis(config.stage, config.stage.x, config.simulation.x),
-          known_axis(config.stage, config.stage.z, config.simulation.z)};
+  return {known_axis(config, config.stage.x, config.simulation.x),
+          known_axis(config, config.stage.z, config.simulation.z)};
 }
 
 KnownItem known_item(const RunRecord& record, const CalibrationResult& result) {

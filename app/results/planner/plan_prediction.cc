@@ -23,22 +23,49 @@ double reading_rate_hz(const PlanningBench& bench) {
   return bench.config.items.front().accelerometer.settings.rate_hz;
 }
 
-/// The noise of the means of an ideal record.
-struct MeanNoise {
-  double stated = 0.0;  ///< Standard deviation that each mean states.
-  double drawn = 0.0;   ///< Standard deviation that it has; 0: no noise.
+/// The means of an ideal record.
+struct MeansOfRecord {
+  int at_rest = 1;  ///< Number of readings in a mean at rest; those of a step in a sweep follow its rate.
+  bool are_noisy = false;  ///< They have the noise that they state.
   std::uint64_t seed = 0;
-  int readings = 1;  ///< Number of readings in each mean.
 };
 
+/// The time of each angle from the first (s). Between two sweeps the stage stops and turns back.
+/// @param angle_s  time from angle to angle where the stage stands
+std::vector<double> times_of(const std::vector<PlannedAngle>& plan, const ProtocolConfig& protocol,
+                             double angle_s) {
+  std::vector<double> times;
+  double time_s = 0.0;
+  for (std::size_t i = 0; i < plan.size(); ++i) {
+    const double rate = std::abs(plan[i].rate_deg_per_s);
+    const bool is_first =
+        i == 0 || plan[i - 1].sweep != plan[i].sweep || plan[i - 1].experiment != plan[i].experiment;
+    if (plan[i].sweep > 0)
+      time_s += is_first ? 2.0 * rate / protocol.acceleration_deg_per_s2 : protocol.step.deg() / rate;
+    times.push_back(time_s);
+    if (plan[i].sweep == 0) time_s += angle_s;
+  }
+  return times;
+}
+
+/// Standard uncertainty of the angles of a sweep (degree). Nobody knows it before the run: an encoder that
+/// answers every 10 ms, at times that are known to 1 ms, is assumed (SweepAngle::u_deg()).
+double assumed_u_angle_deg(const PlannedAngle& angle) {
+  constexpr double kTimeScatterS = 1e-3;
+  constexpr double kSampleS = 0.01;
+  const double rate = std::abs(angle.rate_deg_per_s);
+  return rate * kTimeScatterS / std::sqrt(360.0 / rate / kSampleS);
+}
+
 /// Readings of the item on an ideal stage, in g_loc.
-/// @param angle_s  time from angle to angle
+/// @param angle_s  time from angle to angle where the stage stands
 RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protocol,
-                       const std::vector<PlannedAngle>& plan, double angle_s, const MeanNoise& noise) {
+                       const std::vector<PlannedAngle>& plan, double angle_s, const MeansOfRecord& means) {
   const BenchConfig& config = bench.config;
   RunRecord record;
   record.source = "plan";
-  record.tolerances = config.items.front().tolerances;
+  const Tolerances& tolerances = config.items.front().tolerances;
+  record.tolerances = protocol.is_constant_rate() ? with_effects_of_motion(tolerances) : tolerances;
   record.estimator = protocol.estimator;
   record.steps = protocol.steps;
   record.step = protocol.step;
@@ -48,21 +75,31 @@ RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protoco
   if (!config.stage.level_file.empty())
     record.measured_alignment = read_level_file(config.stage.level_file).alignment;
   sim::BenchTruth truth;
-  truth.seed = noise.seed;
-  truth.noise = noise.drawn;
+  truth.seed = means.seed;
   truth.sensitivity_matrix = bench.item.sensitivity_matrix;
   truth.offset = bench.item.offset;
   sim::SimBench world(truth);
+  truth.noise = bench.item.noise;
+  sim::SimBench noisy(truth);
+  const std::vector<double> times = times_of(plan, protocol, angle_s);
   for (std::size_t i = 0; i < plan.size(); ++i) {
     const PlannedAngle& angle = plan[i];
     DwellRecord dwell = planned_dwell(angle);
-    dwell.count = noise.readings;
-    dwell.time_s = static_cast<double>(i) * angle_s;
-    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
-    world.place(StageAxis::kX, angle.x, t);
-    world.place(StageAxis::kZ, angle.z, t);
-    dwell.mean = world.output(t, i).value;
-    dwell.u_mean = Eigen::Vector3d::Constant(noise.stated);
+    const double readings =
+        angle.sweep > 0 ? protocol.step.deg() / std::abs(angle.rate_deg_per_s) * reading_rate_hz(bench)
+                        : means.at_rest;
+    dwell.count = static_cast<std::int64_t>(readings);
+    dwell.time_s = times[i];
+    if (dwell.motion) dwell.motion->u_angle_deg = assumed_u_angle_deg(angle);
+    const Clock::Instant t = world.start() + from_seconds(times[i]);
+    const auto output_of = [&](sim::SimBench& each) -> Eigen::Vector3d {
+      each.place(StageAxis::kX, angle.x, t);
+      each.place(StageAxis::kZ, angle.z, t);
+      return each.output(t, i).value;
+    };
+    dwell.mean = output_of(world);
+    if (means.are_noisy) dwell.mean += (output_of(noisy) - dwell.mean) / std::sqrt(readings);
+    dwell.u_mean = Eigen::Vector3d::Constant(bench.item.noise / std::sqrt(readings));
     if (!angle.check) {
       record.dwells.push_back(std::move(dwell));
     } else {
@@ -97,10 +134,9 @@ std::vector<int> outputs_of_group(PlannedOutput group) {
 Budget predicted_budget(const PlanningBench& bench, const ProtocolConfig& protocol,
                         const std::vector<PlannedAngle>& plan, const PlanDuration& duration, int run) {
   const int readings = readings_per_dwell(protocol, reading_rate_hz(bench));
-  const double u = bench.item.noise / std::sqrt(readings);
   const RunRecord record =
       ideal_record(bench, protocol, plan, duration.total_s() / static_cast<double>(plan.size()),
-                   {.stated = u, .drawn = u, .seed = static_cast<std::uint64_t>(run), .readings = readings});
+                   {.at_rest = readings, .are_noisy = true, .seed = static_cast<std::uint64_t>(run)});
   try {
     const Estimator& estimator = find_estimator(protocol.estimator);
     // ABC alone: whether the joint fit agrees with its sizes changes no uncertainty.
@@ -144,6 +180,7 @@ LargestPart largest_part(const Budget& budget, int output) {
 }  // namespace
 
 std::string circles_and_angles(const ProtocolConfig& protocol) {
+  if (protocol.is_constant_rate()) return fmt::format("3 x {} sweeps", protocol.sweeps);
   return fmt::format("{} x {}", 3 * protocol.faces, protocol.steps / protocol.faces);
 }
 
@@ -179,7 +216,7 @@ PlannedCircles::PlannedCircles(const PlanningBench& bench, const ProtocolConfig&
 
 ProtocolConfig PlannedCircles::protocol(int readings) const {
   ProtocolConfig protocol = protocol_;
-  protocol.dwell_readings = readings;
+  if (has_dwells()) protocol.dwell_readings = readings;
   return protocol;
 }
 
@@ -188,23 +225,24 @@ PlanDuration PlannedCircles::duration(int readings) const {
 }
 
 const PlannedValues& PlannedCircles::u(int readings) {
-  if (const auto known = known_.find(readings); known != known_.end()) return known->second;
   const ProtocolConfig planned = protocol(readings);
-  return known_[readings] =
-             planned.estimator == "joint" ? fisher_u(planned) : predict_plan(bench_, planned).u;
+  const auto [known, is_new] = known_.try_emplace(planned.dwell_readings);
+  if (!is_new) return known->second;
+  return known->second = planned.estimator == "joint" ? fisher_u(planned) : predict_plan(bench_, planned).u;
 }
 
 PlannedValues PlannedCircles::fisher_u(const ProtocolConfig& protocol) {
   try {
+    const int readings = readings_per_dwell(protocol, reading_rate_hz(bench_));
     if (!fit_) {
-      const RunRecord record = ideal_record(bench_, protocol, plan_, 1.0, {.stated = bench_.item.noise});
+      const RunRecord record =
+          ideal_record(bench_, protocol, plan_, 1.0, {.at_rest = has_dwells() ? 1 : readings});
       JointOptions options;
       options.measured_alignment = record.measured_alignment;
       fit_.emplace(record, options);
     }
-    const OutputVector variance =
-        variances(fit_->line(), fit_->covariance_line(readings_per_dwell(protocol, reading_rate_hz(bench_))),
-                  bench_.config.items.front().tolerances);
+    const OutputVector variance = variances(fit_->line(), fit_->covariance_line(has_dwells() ? readings : 1),
+                                            bench_.config.items.front().tolerances);
     PlannedValues u{};
     for (std::size_t group = 0; group < kPlannedOutputs; ++group)
       u[group] = std::sqrt(variance[worst_output(static_cast<PlannedOutput>(group), variance)]);

@@ -38,7 +38,8 @@ struct PlanningBench {
   StageRecordInUse stage_record = {};
 };
 
-/// The circles of a run and the angles of each: "3 x 72"; in two faces "6 x 36".
+/// The circles of a run and the angles of each: "3 x 72"; in two faces "6 x 36"; at a constant rate "3 x 2
+/// sweeps".
 std::string circles_and_angles(const ProtocolConfig& protocol);
 
 /// The largest contribution to an uncertainty.
@@ -55,7 +56,7 @@ struct PlanPrediction {
   std::array<LargestPart, kPlannedOutputs> limits;  ///< Largest contribution to that output.
 };
 
-/// The plans with one set of circles, whatever their dwells.
+/// The plans with one set of circles, whatever their dwells; at a constant rate that is a single plan.
 class PlannedCircles {
  public:
   /// @param bench  must outlive this
@@ -63,6 +64,10 @@ class PlannedCircles {
   /// @throws PlanError if the stage cannot reach an angle
   PlannedCircles(const PlanningBench& bench, const ProtocolConfig& protocol);
 
+  /// The angles are measured in dwells, whose length is to be chosen. At a constant rate it is not: the
+  /// numbers of readings below have no effect.
+  bool has_dwells() const { return !protocol_.is_constant_rate(); }
+  int faces() const { return protocol_.faces; }
   /// @param readings  [protocol] dwell_readings
   ProtocolConfig protocol(int readings) const;
   PlanDuration duration(int readings) const;

@@ -8,6 +8,8 @@
 #include <map>
 #include <utility>
 
+#include "protocol/plan/faces.h"
+
 namespace abcal {
 namespace {
 
@@ -15,7 +17,42 @@ ProtocolConfig with_circles(ProtocolConfig protocol, int steps, int faces) {
   protocol.steps = steps;
   protocol.step = Angle::degrees(360.0 / steps);
   protocol.faces = faces;
+  protocol.motion = kMotionNames[0];
   return protocol;
+}
+
+/// The plans at a constant rate: up at a rate that both axes reach, down at a third of it, in turn; first
+/// those of the bench file.
+std::vector<ProtocolConfig> sweeps_to_try(const PlanningBench& bench) {
+  const BenchConfig& config = bench.config;
+  std::vector<ProtocolConfig> tried;
+  if (!config.allows_constant_rate() || config.protocol.estimator != kDefaultEstimator) return tried;
+  ProtocolConfig protocol = config.protocol;
+  const double fastest = std::min(bench.speed[0].deg_per_s, bench.speed[1].deg_per_s);
+  if (protocol.is_constant_rate()) tried.push_back(protocol);
+  protocol.motion = kMotionNames[1];
+  protocol.faces = 1;
+  protocol.stops = 0;
+  protocol.steps = kStepsOfSweeps;
+  protocol.step = Angle::degrees(360.0 / kStepsOfSweeps);
+  for (const AxisSpeed& speed : bench.speed)
+    if (speed.deg_per_s2 > 0.0)
+      protocol.acceleration_deg_per_s2 = std::min(protocol.acceleration_deg_per_s2, speed.deg_per_s2);
+  for (const double rate : kTriedRates) {
+    if (rate > fastest) continue;
+    protocol.rate_deg_per_s = {rate, rate / 3.0};
+    for (const int sweeps : kTriedSweeps) {
+      protocol.sweeps = sweeps;
+      if (std::ranges::find(tried, protocol) == tried.end()) tried.push_back(protocol);
+    }
+  }
+  std::erase_if(tried, [&](const ProtocolConfig& each) {
+    return std::ranges::any_of(config.items, [&](const BenchItemConfig& item) {
+      return item.accelerometer.settings.rate_hz * each.step.deg() / std::ranges::max(each.rate_deg_per_s) <
+             kLeastReadingsOfStep;
+    });
+  });
+  return tried;
 }
 
 /// The reasons why the plan with the longest dwells does not reach the wanted uncertainties.
@@ -38,17 +75,27 @@ std::vector<std::string> why_out_of_reach(const PlanPrediction& longest, const W
 }  // namespace
 
 PlanSearch::PlanSearch(PlanningBench bench) : bench_(std::move(bench)) {
-  for (const int steps : kTriedSteps) add(steps, 1);
-  if (!bench_.config.allows_two_faces()) return;
+  const ProtocolConfig& protocol = bench_.config.protocol;
+  for (const int steps : kTriedSteps) tried_.emplace_back(bench_, with_circles(protocol, steps, 1));
+  if (bench_.config.allows_two_faces())
+    for (const int steps : kTriedInTwoFaces) try_if_possible(with_circles(protocol, steps, 2));
+  for (const ProtocolConfig& sweeps : sweeps_to_try(bench_)) try_if_possible(sweeps);
+}
+
+void PlanSearch::try_if_possible(const ProtocolConfig& protocol) {
   try {
-    for (const int steps : kTriedInTwoFaces) add(steps, 2);
+    tried_.emplace_back(bench_, protocol);
   } catch (const PlanError&) {
     return;  // The travel does not allow it.
   }
 }
 
-void PlanSearch::add(int steps, int faces) {
-  tried_.emplace_back(bench_, with_circles(bench_.config.protocol, steps, faces));
+bool PlanSearch::tried_two_faces() const {
+  return std::ranges::any_of(tried_, [](const PlannedCircles& each) { return each.faces() == kFaces; });
+}
+
+bool PlanSearch::tried_sweeps() const {
+  return !std::ranges::all_of(tried_, &PlannedCircles::has_dwells);
 }
 
 std::optional<int> PlanSearch::least_readings(PlannedCircles& circles, const WantedValues& wanted,
@@ -129,12 +176,13 @@ FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
   while (const std::optional<Choice> choice = shortest_choice(wanted, excess)) {
     PlannedCircles& circles = *choice->circles;
     const PlannedValues& searched = circles.u(choice->readings);
+    const ProtocolConfig protocol = circles.protocol(choice->readings);
     std::optional<PlanPrediction>& check = checks[choice->circles];
-    if (!check || choice->readings > kLonger * check->protocol.dwell_readings)
-      check = predict_plan(bench_, circles.protocol(choice->readings));
+    if (!check || protocol.dwell_readings > kLonger * check->protocol.dwell_readings)
+      check = predict_plan(bench_, protocol);
     PlanPrediction plan = *check;
-    if (choice->readings != check->protocol.dwell_readings) {
-      plan.protocol = circles.protocol(choice->readings);
+    if (protocol != check->protocol) {
+      plan.protocol = protocol;
       plan.duration = circles.duration(choice->readings);
       for (std::size_t group = 0; group < kPlannedOutputs; ++group)
         plan.u[group] = excess[group] * searched[group];

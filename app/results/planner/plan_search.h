@@ -15,6 +15,12 @@ namespace abcal {
 inline constexpr std::array<int, 11> kTriedSteps{12, 14, 16, 18, 20, 24, 30, 36, 45, 60, 72};
 /// The angles of an experiment that are tried in two faces, half of them in each.
 inline constexpr std::array<int, 5> kTriedInTwoFaces{12, 18, 24, 36, 72};
+/// The rates of the sweeps that are tried (degree/s) where the stage reaches them, each with a third of it
+/// for the way back: the loss of amplitude needs two rates that differ.
+inline constexpr std::array<double, 4> kTriedRates{60.0, 40.0, 20.0, 10.0};
+/// The numbers of sweeps of a circle that are tried, and the steps into which they are divided.
+inline constexpr std::array<int, 2> kTriedSweeps{2, 4};
+inline constexpr int kStepsOfSweeps = 36;
 /// Fewer readings do not show their own correlation and spread.
 inline constexpr int kLeastReadings = 20;
 inline constexpr int kMostReadings = 1'000'000;
@@ -42,9 +48,12 @@ class PlanSearch {
   PlanSearch(const PlanSearch&) = delete;
   PlanSearch& operator=(const PlanSearch&) = delete;
 
-  /// The shortest plan of kTriedSteps, or of kTriedInTwoFaces where the travel allows them, and any dwell
-  /// whose predicted uncertainties are at most those wanted.
+  /// The shortest plan of kTriedSteps, or of kTriedInTwoFaces and of kTriedRates where travel and stage allow
+  /// them, and any dwell whose predicted uncertainties are at most those wanted.
   FoundPlan shortest(const WantedValues& wanted);
+
+  bool tried_two_faces() const;
+  bool tried_sweeps() const;
 
   /// The best plan that takes at most this time: the one whose largest u over wanted is least.
   /// @return nothing if moves and settlings alone take longer for every plan
@@ -56,7 +65,8 @@ class PlanSearch {
     PlannedCircles* circles;
     int readings;
   };
-  void add(int steps, int faces);
+  /// Adds circles to those that are tried if the travel allows them.
+  void try_if_possible(const ProtocolConfig& protocol);
   /// The shortest by Fisher information and an excess over it, as in FoundPlan; absent: none.
   std::optional<Choice> shortest_choice(const WantedValues& wanted, const PlannedValues& excess);
   /// The least number of readings with which these circles reach the wanted uncertainties; absent: not even

@@ -1,6 +1,7 @@
 #include "app/results/planner/write_plan.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <toml++/toml.h>
 
 #include <sstream>
@@ -43,9 +44,17 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
       {"step_deg", fmt::format("{}", protocol.step.deg())},
       {"dwell_readings", std::to_string(protocol.dwell_readings)}};
   const toml::table root = toml::parse(bench_toml, source);
-  // A file that does not name the faces has one.
+  // A file that does not name the faces has one; one that does not name the motion measures in steps.
   if (protocol.faces != 1 || root.at_path("protocol.faces"))
     values.emplace_back("faces", std::to_string(protocol.faces));
+  if (protocol.is_constant_rate() || root.at_path("protocol.motion"))
+    values.emplace_back("motion", fmt::format("\"{}\"", protocol.motion));
+  if (protocol.is_constant_rate()) {
+    values.emplace_back("rate_deg_per_s", fmt::format("[{}]", fmt::join(protocol.rate_deg_per_s, ", ")));
+    values.emplace_back("sweeps", std::to_string(protocol.sweeps));
+    values.emplace_back("stops", std::to_string(protocol.stops));
+    values.emplace_back("acceleration_deg_per_s2", fmt::format("{}", protocol.acceleration_deg_per_s2));
+  }
   std::vector<std::string> lines = lines_of(bench_toml);
   if (const toml::table* table = root["protocol"].as_table()) {
     for (const auto& [key, value] : values) set_value(lines, *table, key, value);
@@ -57,22 +66,36 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
   for (const std::string& line : lines) changed += line + "\n";
 
   BenchConfig wanted = parse_bench(bench_toml, source, lookup);
-  wanted.protocol.steps = protocol.steps;
-  wanted.protocol.step = protocol.step;
-  wanted.protocol.faces = protocol.faces;
-  wanted.simulation.stands_in_second_face = protocol.faces == 2;
-  wanted.protocol.dwell_readings = protocol.dwell_readings;
+  ProtocolConfig& planned = wanted.protocol;
+  planned.steps = protocol.steps;
+  planned.step = protocol.step;
+  planned.faces = protocol.faces;
+  planned.dwell_readings = protocol.dwell_readings;
+  planned.motion = protocol.motion;
+  if (protocol.is_constant_rate()) {
+    planned.rate_deg_per_s = protocol.rate_deg_per_s;
+    planned.sweeps = protocol.sweeps;
+    planned.stops = protocol.stops;
+    planned.acceleration_deg_per_s2 = protocol.acceleration_deg_per_s2;
+  }
   bool as_meant = false;
   try {
-    as_meant = parse_bench(changed, source, lookup).is_same_bench(wanted);
+    BenchConfig found = parse_bench(changed, source, lookup);
+    // What only turning brings in, and the truth of a simulated bench, follow from the plan.
+    for (BenchConfig* each : {&found, &wanted})
+      for (BenchItemConfig& item : each->items) item.tolerances = with_effects_of_motion(item.tolerances);
+    wanted.simulation = found.simulation;
+    for (std::size_t k = 0; k < wanted.items.size() && k < found.items.size(); ++k)
+      wanted.items[k].simulation = found.items[k].simulation;
+    as_meant = found.is_same_bench(wanted);
   } catch (const std::exception&) {
     as_meant = false;  // Reported below.
   }
   if (!as_meant) {
-    throw std::runtime_error(
-        fmt::format("{} cannot be changed by the program; set under [protocol]: steps = {}, step_deg = {}, "
-                    "dwell_readings = {}, faces = {}",
-                    source, protocol.steps, protocol.step.deg(), protocol.dwell_readings, protocol.faces));
+    std::vector<std::string> keys;
+    for (const auto& [key, value] : values) keys.push_back(fmt::format("{} = {}", key, value));
+    throw std::runtime_error(fmt::format("{} cannot be changed by the program; set under [protocol]: {}",
+                                         source, fmt::join(keys, ", ")));
   }
   return changed;
 }
