@@ -55,6 +55,7 @@ struct Pages {
   Document document;
   std::string certificate_xml;    ///< Empty: they are those of a report.
   PdfPrinter* printer = nullptr;  ///< Prints a certificate.
+  std::string suffix;             ///< Ends its files' names: "-item-2", of several; empty: the only ones.
 };
 
 /// The PDF of a certificate contains its XML, unless another attachment is requested.
@@ -113,18 +114,24 @@ std::string with_suffix(const std::filesystem::path& path, const std::string& su
 
 /// The requested outputs.
 std::vector<Output> outputs_of(const ReportOptions& options, const std::vector<RunReadings>& runs,
-                               const Pages& pages) {
+                               const std::vector<Pages>& pages_of_items) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
     if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
   };
-  add("--html", options.html, [&pages](OutputFile& file) { file.write(document_html(pages.document)); });
-  add("--pdf", options.pdf,
-      [&pages, &options](OutputFile& file) { write_pages(pages, file, options.attachment); });
-  add("--dcc", options.dcc, [&pages](OutputFile& file) { file.write(pages.certificate_xml); });
+  const auto named = [](const std::string& path, const std::string& suffix) {
+    return path.empty() ? path : with_suffix(path, suffix);
+  };
+  for (const Pages& pages : pages_of_items) {
+    add("--html", named(options.html, pages.suffix),
+        [&pages](OutputFile& file) { file.write(document_html(pages.document)); });
+    add("--pdf", named(options.pdf, pages.suffix),
+        [&pages, &options](OutputFile& file) { write_pages(pages, file, options.attachment); });
+    add("--dcc", options.dcc, [&pages](OutputFile& file) { file.write(pages.certificate_xml); });
+  }
   const auto add_of_run = [&](const char* option, const std::string& path, const RunReadings& run,
                               std::function<void(OutputFile&)> write) {
-    add(option, path.empty() ? path : with_suffix(path, run.suffix), std::move(write));
+    add(option, named(path, run.suffix), std::move(write));
   };
   for (const RunReadings& run : runs) {
     const std::vector<ReportData>& items = run.items;
@@ -175,11 +182,12 @@ bool wants_readings(const ReportOptions& options) {
   return !options.csv.empty() || !options.csv_raw.empty() || !options.hdf5.empty();
 }
 
-/// Whether files of data alone are wanted, which hold all items. Everything else is of one.
-bool wants_data_alone(const ReportOptions& options) {
-  const bool wants_pages = options.json || options.draft || options.record || !options.html.empty() ||
-                           !options.pdf.empty() || !options.dcc.empty();
-  return !wants_pages && wants_readings(options);
+/// Whether only files are wanted that hold all items, or of which each item can have its own. Everything else
+/// is of one item.
+bool may_have_all_items(const ReportOptions& options) {
+  const bool wants_one = options.json || options.draft || options.record || !options.dcc.empty() ||
+                         !options.attachment.empty() || !options.certificate.laboratory.empty();
+  return !wants_one && (wants_readings(options) || !options.html.empty() || !options.pdf.empty());
 }
 
 }  // namespace
@@ -191,7 +199,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->file, "run file, measurement, or table of readings")->required();
   command->add_option(
       "--item", options->item,
-      "of a run with several items: whose report, from 1 (--csv, --csv-raw and --hdf5 alone: default all)");
+      "of a run with several items: whose report, from 1 (default: --csv, --csv-raw and --hdf5 hold all "
+      "items, and --html and --pdf are written for each: FILE-item-1.html, ...)");
   add_table_options(*command, options->table);
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
   CLI::Option* pdf =
@@ -216,36 +225,44 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
-    const int item = wants_data_alone(*options) ? options->item : chosen_item(options->file, options->item);
+    const int item = may_have_all_items(*options) ? options->item : chosen_item(options->file, options->item);
     const std::vector<ReportData> items =
         gather_items(options->file, RealClock().utc_now(), item, options->table);
     const ReportData& data = items.front();
     say_how_read(options->file, data.record);
-    Pages pages;
+    std::vector<Pages> pages_of_items;
     std::optional<PdfPrinter> printer;
-    if (of_certificate(*options, data)) {
-      if (!options->pdf.empty()) pages.printer = &printer.emplace();
-      pages.certificate_xml =
-          certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
-      pages.document = certificate_page(pages.certificate_xml);
-    } else {
-      pages.document = calibration_document(data);
+    const bool wants_all = may_have_all_items(*options) && !(options->html.empty() && options->pdf.empty());
+    for (const ReportData& each : items) {
+      if (!wants_all && !pages_of_items.empty()) break;
+      Pages& pages = pages_of_items.emplace_back();
+      if (wants_all && items.size() > 1) pages.suffix = fmt::format("-item-{}", each.item);
+      if (of_certificate(*options, each)) {
+        if (!options->pdf.empty()) pages.printer = printer ? &*printer : &printer.emplace();
+        pages.certificate_xml =
+            certificate_for_report(each, options->certificate, options->draft, RealClock().utc_now());
+        pages.document = certificate_page(pages.certificate_xml);
+      } else {
+        pages.document = calibration_document(each);
+      }
     }
     const std::vector<RunReadings> runs = wants_readings(*options)
                                               ? readings_of(items, item, RealClock().utc_now())
                                               : std::vector<RunReadings>();
-    const std::vector<Output> outputs = outputs_of(*options, runs, pages);
+    const std::vector<Output> outputs = outputs_of(*options, runs, pages_of_items);
     check(*options, data, outputs);
     write_all(outputs, options->json);
     if (options->json) {
       nlohmann::ordered_json json = report_json(data);
+      const Pages& pages = pages_of_items.front();
       if (!pages.certificate_xml.empty()) json["certificate"] = certificate_json(pages.certificate_xml);
       print_result("{}\n", json.dump(2));
     } else if (outputs.empty()) {
-      print_result("{}", document_text(pages.document, stdout));
+      print_result("{}", document_text(pages_of_items.front().document, stdout));
     }
-    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : pages.document.cautions)
-      print_log("caution: {}\n", caution);
+    for (const Pages& pages : outputs.empty() ? std::vector<Pages>() : pages_of_items)
+      for (const std::string& caution : pages.document.cautions)
+        print_log("caution: {}{}\n", pages.suffix.empty() ? "" : pages.suffix.substr(1) + ": ", caution);
     const bool has_numbers = std::ranges::any_of(
         items, [](const ReportData& each) { return each.result().verdict != Verdict::kNotUsable; });
     exit_code = has_numbers ? kExitDone : kExitFailed;

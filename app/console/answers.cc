@@ -16,6 +16,7 @@
 #include "app/laboratory/compare/chart_report.h"
 #include "app/laboratory/register/register.h"
 #include "app/results/analysis/load_record.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/system/real_clock.h"
 #include "drivers/text/number.h"
 #include "protocol/record/run_file.h"
@@ -108,8 +109,9 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
     return refuse(asked, http::status::bad_request, Message("The fields of the form cannot be read."));
   }
   if (order_list_of_runs(asked, target->words, later) || order_readings(asked, target->words, later) ||
-      order_of_library(target->words, later) || order_check_chart(target->words, later) ||
-      order_benches(target->words, later) || order_approval(target->words, asked.visitor, later)) {
+      order_of_library(target->words, later) || order_of_measurement(target->words, later) ||
+      order_check_chart(target->words, later) || order_benches(target->words, later) ||
+      order_approval(target->words, asked.visitor, later)) {
     later.head = head_of(request);
     later.turn.first = asked.visitor.may_steer;
     return {};
@@ -273,6 +275,44 @@ std::optional<ItemOfRun> Answers::find_item(const std::string& run, const std::s
   const auto number = item.empty() ? 0 : item_of(item);
   if (!path || !number) return std::nullopt;
   return ItemOfRun{*path, *number};
+}
+
+/// /measurements: the list; /measurements/NAME/result, /measurements/NAME/DOWNLOAD and the same of an item.
+bool Answers::order_of_measurement(const std::vector<std::string>& words, Slow& later) {
+  if (words.empty() || words[0] != "measurements") return false;
+  later.workshop = &lists_;
+  if (words.size() == 1) {
+    later.make = [this](const std::stop_token&) { return made_of_json(library_.measurements()); };
+    return true;
+  }
+  const bool of_item = words.size() == 5 && words[2] == "items";
+  const auto path = library_.find_measurement(words[1]);
+  const auto item = of_item ? item_of(words[3]) : 0;
+  if ((words.size() != 3 && !of_item) || !path || !item) return false;
+  later.workshop = &analyses_;
+  later.name = fmt::format("{}", fmt::join(words, "/"));
+  const ItemOfRun of{*path, std::max(*item, 1)};
+  std::function<Product(const std::stop_token&)> make;
+  if (words.back() == "result")
+    make = [this, of](const std::stop_token&) {
+      return *made_of_json(library_.measurement(of.run, of.item));
+    };
+  for (const Download& download : downloads()) {
+    if (words.back() != download.name || (download.available && !download.available(of))) continue;
+    if (download.is_printed) later.workshop = &prints_;
+    make = [of, download](const std::stop_token& cancelled) {
+      return Product{200, download.content_type, download.make(of, cancelled), true};
+    };
+  }
+  if (!make) return false;
+  later.make = [this, of, what = later.name, make](const std::stop_token& cancelled) {
+    std::vector<std::filesystem::path> files{of.run, ResultsFile::path_beside(of.run)};
+    const MeasurementFile listed = listed_measurement(of.run);
+    for (const MeasurementPart& run : listed.runs) files.push_back(run.path);
+    if (listed.stage_record) files.push_back(listed.stage_record->path);
+    return kept(what, files, make)(cancelled);
+  };
+  return true;
 }
 
 std::optional<ItemOfRun> Answers::find_item(const std::vector<std::string>& words) const {

@@ -44,6 +44,7 @@ class Answers {
   bool order_of_library(const std::vector<std::string>& words, Slow& later);
   bool order_of_run(const ItemOfRun& of, const std::string& what, Slow& later);
   bool order_list_of_runs(const Asked& asked, const std::vector<std::string>& words, Slow& later);
+  bool order_of_measurement(const std::vector<std::string>& words, Slow& later);
   bool order_readings(const Asked& asked, const std::vector<std::string>& words, Slow& later);
   bool order_benches(const std::vector<std::string>& words, Slow& later);
   bool order_check_chart(const std::vector<std::string>& words, Slow& later);

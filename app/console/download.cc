@@ -10,6 +10,7 @@
 #include "app/laboratory/certificate/certificate_page.h"
 #include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/certificate/report_certificate.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/report_data.h"
 #include "app/results/report/calibration_document.h"
 #include "app/results/report/hdf5_export.h"
@@ -38,6 +39,11 @@ std::string bytes_of(const std::function<void(const Path& file)>& write) {
 
 bool is_certified(const ItemOfRun& of) {
   return current_certificate(of.run, of.item).has_value();
+}
+
+/// The readings of several runs are no single file.
+bool is_one_run(const ItemOfRun& of) {
+  return !looks_like_measurement(of.run);
 }
 
 /// The certificate as it was issued, byte for byte; a download never issues one.
@@ -100,9 +106,10 @@ const std::vector<Download>& downloads() {
       {"report.pdf", "Report (PDF)", "application/pdf", printed_report,
        [](const ItemOfRun& of) { return !is_certified(of) || is_installed(kWeasyPrint); }, true},
       {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
-      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
-      {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings, nullptr},
-      {"run.h5", "Everything (HDF5)", "application/x-hdf5", hdf5, nullptr},
+      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, is_one_run},
+      {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings,
+       is_one_run},
+      {"run.h5", "Everything (HDF5)", "application/x-hdf5", hdf5, is_one_run},
   };
   return all;
 }

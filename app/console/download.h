@@ -8,7 +8,7 @@
 
 namespace abcal::console {
 
-/// A run and the number of one of its items.
+/// A run, or a measurement of several, and the number of one of its items.
 struct ItemOfRun {
   std::filesystem::path run;
   int item = 1;
@@ -22,7 +22,7 @@ struct Download {
   /// Called in a thread of a pool; `cancelled`: no client waits for it any more. The text of its exceptions
   /// is shown to the person.
   std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
-  /// Whether an item of a run has it; null: each has.
+  /// Whether an item of a run, or of a measurement of several, has it; null: each has.
   std::function<bool(const ItemOfRun& of)> available;
   bool is_printed = false;  ///< Made by another program (abcal-pdf, WeasyPrint), in seconds.
 };

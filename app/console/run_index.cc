@@ -122,17 +122,6 @@ Json items_of(const StoredRun& run) {
   return items;
 }
 
-/// The verdict of the estimator that was chosen for a run, as stored when the run was closed; empty: the run
-/// is not analysed, or its results cannot be read.
-std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
-  try {
-    const std::optional<StoredAnalysis> last = last_analysis(path, estimator);
-    return last ? Json::parse(last->result_json).at("verdict").get<std::string>() : "";
-  } catch (const std::exception&) {
-    return "";  // The run's own page shows the reason.
-  }
-}
-
 RunIndex::ReadRun read_run(const std::filesystem::path& path) {
   const std::string name = path.filename().string();
   try {
@@ -180,9 +169,18 @@ Conditions conditions_of(const RunIndex::Asked& asked) {
 
 }  // namespace
 
-bool is_run(const std::filesystem::path& path) {
+std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
+  try {
+    const std::optional<StoredAnalysis> last = last_analysis(path, estimator);
+    return last ? Json::parse(last->result_json).at("verdict").get<std::string>() : "";
+  } catch (const std::exception&) {
+    return "";  // The run's own page shows the reason.
+  }
+}
+
+bool is_own_file(const std::filesystem::path& path, std::string_view extension) {
   std::error_code ignored;
-  return path.extension() == ".run" &&
+  return path.extension() == extension &&
          std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored));
 }
 
@@ -307,7 +305,7 @@ void RunIndex::find_runs() {
     std::error_code error;
     for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
          at.increment(error)) {
-      if (!is_run(at->path())) continue;
+      if (!is_own_file(at->path(), ".run")) continue;
       const std::string name = at->path().filename().string();
       find_run(name);
       gone.erase(name);

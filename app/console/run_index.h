@@ -20,8 +20,12 @@
 
 namespace abcal::console {
 
-/// A file NAME.run itself: a link would lead out of the folder.
-bool is_run(const std::filesystem::path& path);
+/// A file with this extension itself: a link would lead out of the folder.
+bool is_own_file(const std::filesystem::path& path, std::string_view extension);
+
+/// The verdict of an estimator as stored when a run was closed, or a measurement of several runs analysed;
+/// empty: not analysed, or the results cannot be read.
+std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator);
 
 /// The data of a run in a list, as docs/console_programs.md describes it, but for `analysed`.
 nlohmann::ordered_json run_summary(const std::string& name, const StoredRun& run);

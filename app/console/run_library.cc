@@ -1,8 +1,13 @@
 #include "app/console/run_library.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cstddef>
+#include <functional>
 #include <limits>
+#include <stdexcept>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -14,9 +19,11 @@
 #include "app/laboratory/certificate/issue_certificate.h"
 #include "app/laboratory/compare/compare_json.h"
 #include "app/laboratory/compare/compare_results.h"
+#include "app/results/analysis/analysed_file.h"
 #include "app/results/analysis/analyses.h"
 #include "app/results/analysis/budget_words.h"
 #include "app/results/analysis/load_record.h"
+#include "app/results/analysis/measurement_file.h"
 #include "app/results/analysis/result_json.h"
 #include "app/results/export/constants.h"
 #include "protocol/estimators/checks/check_meanings.h"
@@ -79,17 +86,55 @@ Json limits_of(const Json& runs) {
           {"outside", outside}};
 }
 
+constexpr const char* kRun = ".run";
+constexpr const char* kMeasurement = ".measurement";
+
+/// The file of this name and kind in a folder. A name with a path in it is that of no file.
+std::optional<std::filesystem::path> file_in(const std::filesystem::path& folder, const std::string& name,
+                                             std::string_view extension) {
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder, error), end; !error && at != end; at.increment(error))
+    if (at->path().filename().string() == name && is_own_file(at->path(), extension)) return at->path();
+  return std::nullopt;
+}
+
+/// What a page shows of a result: inputs that dominate it, downloads, the certificate, all estimators.
+/// @param of  the file that it is of, and the number of the item
+void add_result(Json& json, const AnalysedItem& shown, const ItemOfRun& of) {
+  json["dominates"] = Json::array();
+  if (const auto budget = budget_of_result(shown.stored.record, shown.result()))
+    for (const DominatingInput& each : dominating_inputs(*budget)) {
+      Json outputs = Json::array();
+      for (const auto& [symbol, share] : each.outputs)
+        outputs.push_back({{"output", symbol}, {"share", json_number(share)}});
+      json["dominates"].push_back(
+          {{"input", each.input}, {"message", message_json(each.input)}, {"outputs", std::move(outputs)}});
+    }
+  json["item"] = of.item;
+  json["downloads"] = Json::array();
+  for (const Download& download : downloads())
+    if (!download.available || download.available(of))
+      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  const auto issued = current_certificate(of.run, of.item);
+  json["certificate"] = issued ? certificate_json(issued->xml) : Json(nullptr);
+  json["results"] = Json::array();
+  json["meanings"] = Json::object();
+  for (const CalibrationResult& result : shown.results) {
+    json["results"].push_back(result_json(result));
+    for (const Check& check : result.diagnostics.checks)
+      json["meanings"][check.name] = meaning_of_check(check.name);
+    for (const FlagCount& flag : result.diagnostics.flags)
+      json["meanings"][flag.flag] = meaning_of_flag(flag.flag);
+  }
+}
+
 }  // namespace
 
 RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)), index_(folder_) {}
 
 std::optional<std::filesystem::path> RunLibrary::find_in(const std::filesystem::path& folder,
                                                          const std::string& name) {
-  std::error_code error;
-  for (std::filesystem::directory_iterator at(folder, error), end; !error && at != end; at.increment(error)) {
-    if (at->path().filename().string() == name && is_run(at->path())) return at->path();
-  }
-  return std::nullopt;
+  return file_in(folder, name, kRun);
 }
 
 Json RunLibrary::list(std::chrono::milliseconds patience) {
@@ -116,16 +161,7 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
   Json json = {{"run", run_summary(path.filename().string(), run)}};
   for (std::size_t i = 0; i < all.items.size(); ++i)
     json["run"]["items"][i]["verdict"] = to_string(all.items[i].result().verdict);
-  json["dominates"] = Json::array();
-  if (const auto budget = budget_of_result(run.record, shown.result()))
-    for (const DominatingInput& each : dominating_inputs(*budget)) {
-      Json outputs = Json::array();
-      for (const auto& [symbol, share] : each.outputs)
-        outputs.push_back({{"output", symbol}, {"share", json_number(share)}});
-      json["dominates"].push_back(
-          {{"input", each.input}, {"message", message_json(each.input)}, {"outputs", std::move(outputs)}});
-    }
-  json["item"] = run.item;
+  add_result(json, shown, {path, run.item});
   json["program_version"] = run.header.program_version;
   json["timing"] = {{"moving_s", run.timing.moving_s},
                     {"settling_s", run.timing.settling_s},
@@ -146,23 +182,55 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
   std::vector<Message> texts;
   for (const RunEvent& event : run.events) texts.push_back(event.text);
   json["messages"] = messages_json(texts);
-  json["downloads"] = Json::array();
-  for (const Download& download : downloads()) {
-    if (!download.available || download.available({path, run.item}))
-      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
-  }
-  const auto issued = current_certificate(path, run.item);
-  json["certificate"] = issued ? certificate_json(issued->xml) : Json(nullptr);
   json["norms"] = norms_of(run, shown.result());
-  json["results"] = Json::array();
-  json["meanings"] = Json::object();
-  for (const CalibrationResult& result : shown.results) {
-    json["results"].push_back(result_json(result));
-    for (const Check& check : result.diagnostics.checks)
-      json["meanings"][check.name] = meaning_of_check(check.name);
-    for (const FlagCount& flag : result.diagnostics.flags)
-      json["meanings"][flag.flag] = meaning_of_flag(flag.flag);
+  return json;
+}
+
+std::optional<std::filesystem::path> RunLibrary::find_measurement(const std::string& name) const {
+  return file_in(folder_, name, kMeasurement);
+}
+
+Json RunLibrary::measurements() const {
+  std::vector<Json> list;
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
+       at.increment(error)) {
+    const std::filesystem::path& path = at->path();
+    if (!is_own_file(path, kMeasurement)) continue;
+    Json json = {{"name", path.filename().string()}};
+    try {
+      const MeasurementFile measurement = listed_measurement(path);
+      json["created_utc"] = measurement.created_utc;
+      json["items"] = measurement.items;
+      json["runs"] = measurement.runs.size();
+      json["verdict"] = kept_verdict(path, std::string(kDefaultEstimator));
+    } catch (const std::exception& problem) {
+      json["why"] = problem.what();
+    }
+    list.push_back(std::move(json));
   }
+  std::ranges::stable_sort(list, std::ranges::greater(), [](const Json& each) {
+    return std::pair(each.value("created_utc", ""), each.at("name").get<std::string>());
+  });
+  return list;
+}
+
+Json RunLibrary::measurement(const std::filesystem::path& path, int item) {
+  const AnalysedRun all = analyse_file(path);
+  const int count = static_cast<int>(all.items.size()), shown = std::max(item, 1);
+  if (shown > count)
+    throw std::invalid_argument(
+        fmt::format("{}: item {}; required: 1 to {}", path.filename().string(), shown, count));
+  Json json = {
+      {"measurement", {{"name", path.filename().string()}, {"items", count}, {"runs", Json::array()}}}};
+  for (const RunOfMeasurement& run : all.runs) {
+    const std::filesystem::path file = run.file;
+    json["measurement"]["runs"].push_back(run_summary(file.filename().string(), run.stored()));
+    // A page shows the run only where it is in the folder of the console.
+    json["measurement"]["runs"].back()["is_here"] = find(file.filename().string()) == file;
+    json["measurement"]["runs"].back()["sha256"] = run.sha256;
+  }
+  add_result(json, all.item(shown), {path, shown});
   return json;
 }
 

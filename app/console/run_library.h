@@ -49,6 +49,14 @@ class RunLibrary {
   /// @param position  of an angle in the plan; absent: of all angles
   static nlohmann::ordered_json readings(const std::filesystem::path& run, int item,
                                          std::optional<std::size_t> position, std::size_t columns);
+  /// The file of this name, if it is a measurement of several runs in the folder.
+  std::optional<std::filesystem::path> find_measurement(const std::string& name) const;
+  /// All measurements of several runs, newest first, with the verdict that was stored.
+  nlohmann::ordered_json measurements() const;
+  /// One measurement with its runs, and the joint result of one item (abcal.result/1).
+  /// @param item  from 1; 0: the first
+  /// @throws as analyse_file(); std::invalid_argument there is no such item
+  nlohmann::ordered_json measurement(const std::filesystem::path& measurement, int item);
   /// The path of a run, or with its item: NAME#K is item K of NAME.
   std::optional<std::string> find_item(const std::string& name) const;
   /// Two results side by side (abcal.compare/1), also of different items. Each is a path that find_item()

@@ -12,6 +12,7 @@
 #include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <regex>
 
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
@@ -262,7 +263,21 @@ TEST_F(MeasurementTest, EachItemOfRunsWithSeveralHasItsResult) {
   const Json report = json_of({"report", "tray.measurement", "--item", "2", "--json"});
   EXPECT_EQ(report.at("item").at("serial_number"), "SN-2");
   EXPECT_EQ(report.at("results").at(0).at("offset"), tray.at("items").at(1).at("result").at("offset"));
-  EXPECT_THAT(refusal({"report", "tray.measurement", "--html", "x.html"}), HasSubstr("--item 1 to 2"));
+  EXPECT_THAT(refusal({"report", "tray.measurement", "--json"}), HasSubstr("--item 1 to 2"));
+  // Each item has its own page, the same as if it were asked for alone.
+  ASSERT_EQ(abcal({"report", "tray.measurement", "--html", "x.html"}).exit_code, 0);
+  EXPECT_FALSE(std::filesystem::exists(folder / "x.html"));
+  for (const std::string k : {"1", "2"}) {
+    ASSERT_EQ(abcal({"report", "tray.measurement", "--item", k, "--html", "alone.html", "--force"}).exit_code,
+              0);
+    const auto but_for_when = [](const std::string& page) {
+      constexpr const char* kWhen =
+          R"(@bottom-left \{[^}]*\}|\d{4}-\d\d-\d\d \d\d:\d\d(:\d\d)?)";  // In the margin it is escaped.
+      return std::regex_replace(page, std::regex(kWhen), "");
+    };
+    EXPECT_EQ(but_for_when(test::read_file(folder / ("x-item-" + k + ".html"))),
+              but_for_when(test::read_file(folder / "alone.html")));
+  }
   EXPECT_EQ(abcal({"verify", "tray.measurement"}).exit_code, 0);
   EXPECT_THAT(refusal({"combine", "tray-1.run", "m-1.run", "-o", "x.measurement"}),
               HasSubstr("required: runs of one item, or of the same several"));

@@ -82,6 +82,59 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
 }
 
+TEST_F(RunLibraryTest, ShowsAMeasurementOfSeveralRuns) {
+  std::filesystem::create_directories(runs());
+  std::string text = test::read_file(examples / "simulated.toml");
+  const auto set = [&](const std::string& key, const std::string& value) {
+    text = std::regex_replace(text, std::regex("\n" + key + " = [0-9.]+"), "\n" + key + " = " + value);
+  };
+  set("steps", "12");
+  set("step_deg", "30.0");
+  set("dwell_readings", "100");
+  test::write_file(folder / "bench.toml", text);
+  const auto made = abcal({"mountings", "bench.toml", "--mountings", "2", "-o", "runs/m"});
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  test::write_file(runs() / "broken.measurement", "{}");
+  std::filesystem::create_symlink(runs() / "m.measurement", runs() / "link.measurement");
+  open();
+  const Json stated = Json::parse(abcal({"analyse", "runs/m.measurement", "--json"}).out);
+  const Json list = Json::parse(get("/measurements").body);
+  ASSERT_EQ(list.size(), 2U);
+  EXPECT_EQ(list[0]["name"], "m.measurement");
+  EXPECT_EQ(list[0]["runs"], 2);
+  EXPECT_EQ(list[0]["verdict"], stated["verdict"]);
+  EXPECT_EQ(list[1]["name"], "broken.measurement");
+  EXPECT_THAT(list[1]["why"].get<std::string>(), HasSubstr("is no complete measurement"));
+
+  const Json shown = Json::parse(get("/measurements/m.measurement/result").body);
+  EXPECT_EQ(shown["results"][0]["quantities"], stated["quantities"]);
+  ASSERT_EQ(shown["measurement"]["runs"].size(), 2U);
+  for (std::size_t k = 0; k < 2; ++k) {
+    const Json& run = shown["measurement"]["runs"][k];
+    EXPECT_TRUE(run["is_here"]);
+    EXPECT_EQ(get("/runs/" + run["name"].get<std::string>() + "/result").status, 200U);
+  }
+  std::vector<std::string> names;
+  for (const Json& download : shown["downloads"]) names.push_back(download["name"]);
+  EXPECT_THAT(names, Contains("report.html"));
+  EXPECT_THAT(names, Not(Contains("readings.csv")));
+  EXPECT_THAT(get("/measurements/m.measurement/report.html").body,
+              HasSubstr(list[0]["name"].get<std::string>()));
+  for (const char* wrong : {"m.measurement/readings.csv", "m.measurement/angles", "link.measurement/result",
+                            "m-1.run/result", "..%2Fm.measurement/result", "m.measurement/items/0/result"})
+    EXPECT_EQ(get(std::string("/measurements/") + wrong).status, 404U) << wrong;
+  EXPECT_EQ(get("/runs/m.measurement/result").status, 404U);
+  EXPECT_EQ(get("/measurements/m.measurement/items/2/result").status, 422U);
+
+  // A run that was changed afterwards is named, though the answer was kept.
+  const std::string run = shown["measurement"]["runs"][1]["name"];
+  std::filesystem::permissions(runs() / run, std::filesystem::perms::owner_all);
+  std::filesystem::resize_file(runs() / run, std::filesystem::file_size(runs() / run) - 1);
+  const test::Answer changed = get("/measurements/m.measurement/result");
+  EXPECT_EQ(changed.status, 422U);
+  EXPECT_THAT(changed.body, HasSubstr(run + " was changed after the measurement was made"));
+}
+
 TEST_F(RunLibraryTest, HandsOutTheAnglesAndTheirReadings) {
   measure((examples / "simulated.toml").string(), "a.run");
   open();

@@ -18,7 +18,7 @@ import {offerTimes, timeElement} from '/time.js';
 import {offerLanguage, t, translate} from '/language.js';
 import {keepFocus} from '/focus.js';
 import {readyForPaper} from '/print.js';
-import {showChart, showCompare, showRun, showRuns, statesMayHaveChanged} from '/runs.js';
+import {showChart, showCompare, showMeasurement, showRun, showRuns, statesMayHaveChanged} from '/runs.js';
 
 translate();
 const live = new LiveView();
@@ -272,7 +272,8 @@ function partsOfAddress() {
   }
 }
 
-const VIEWS = ['live', 'queue', 'bench', 'runs', 'benches', 'compare', 'chart', 'life'];
+const VIEWS = ['live', 'queue', 'bench', 'runs', 'benches', 'compare', 'chart', 'life', 'measurements'];
+const SHOWN_BY = {life: 'runs', measurements: 'runs'};  // Views that are drawn in the section of another.
 function route() {
   endMaking();
   const [view, ...rest] = partsOfAddress();
@@ -281,11 +282,12 @@ function route() {
   document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
   byId('unknown-address').textContent = known ? '' : t`This page has no view with the address ${location.hash}. It shows the view Live.`;
-  for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name === 'life' ? 'runs' : name}`;
+  for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${SHOWN_BY[name] ?? name}`;
   for (const a of document.querySelectorAll('nav a')) {
     if (a.hash === `#${name}` && !kiosk) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');
   }
   if (name === 'runs') rest.length ? showRun(rest[0], rest[1], rest[2]) : showRuns(resume);
+  if (name === 'measurements') rest.length ? showMeasurement(rest[0], rest[1]) : showRuns(resume);
   if (name === 'compare') showCompare(rest[0], rest[1]);
   if (name === 'benches') showBenches();
   if (name === 'life') showRuns(resume, {[rest[0]]: rest[1] ?? ''});

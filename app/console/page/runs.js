@@ -64,6 +64,7 @@ export async function showRuns(resume, filter = {}) {
   clearCharts();
   const search = byId('run-search');
   let soon = null;
+  drawMeasurements(Object.keys(filter).length > 0);
   search.oninput = () => { firstRow = 0; clearTimeout(soon); soon = setTimeout(fetchPage, QUIET_MS); };
   await fetchPage();
 }
@@ -118,7 +119,7 @@ function drawList(page) {
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
       cell(4, element('span', {}, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`)),
-      cell(5, run.verdict ? element('span', {class: `mark-${run.verdict}`}, `${VERDICT_SIGNS[run.verdict]} ${VERDICTS[run.verdict]}`) : DASH),
+      cell(5, verdictMark(run.verdict)),
       cell(6, operatorIn(run.operator) || DASH),
       cell(7, run.planned ? t`${run.measured} of ${run.planned} angles` : DASH),
       cell(8, duration(run.duration_s)),
@@ -155,6 +156,20 @@ function drawList(page) {
     element('caption', {class: 'visually-hidden'}, t('Runs in the run folder')),
     element('thead', {}, element('tr', {}, ...HEADINGS.map(heading))),
     element('tbody', {}, ...shown.map(row))));
+}
+
+const verdictMark = (verdict) => (verdict ? element('span', {class: `mark-${verdict}`}, `${VERDICT_SIGNS[verdict]} ${VERDICTS[verdict]}`) : DASH);
+
+// The measurements of several runs in the folder; of one item or bench they are not known without a look at their runs.
+async function drawMeasurements(isLife) {
+  const holder = byId('measurement-list');
+  let all = [];
+  try {
+    if (!isLife) all = await fetchJson('/measurements');
+  } catch {}  // The list of runs below says that the console does not answer.
+  holder.hidden = all.length === 0;
+  holder.replaceChildren(element('h3', {id: 'measurement-list-title'}, t('Measurements of several runs')), scrollable('scroll-x stack', t('Measurements of several runs'), table(t('Runs that are evaluated together: abcal combine, abcal mountings.'), [t('Measurement'), t('Made'), t('Runs'), t('Items'), t('Result')],
+    all.map((one) => (one.why ? [one.name, DASH, DASH, DASH, said(one.why)] : [element('a', {href: `#measurements/${encoded(one.name)}`}, one.name), day(one.created_utc), one.runs, one.items, verdictMark(one.verdict)])))));
 }
 
 // Shows the results of all runs of one item or bench, with links to its control charts.
@@ -234,6 +249,45 @@ export async function showRun(name, item, part, {again = false} = {}) {
   if (part === 'certificate') byId('certificate-title').scrollIntoView();
 }
 
+// A measurement of several runs: its joint result, and each run with what it states alone. item: from 1; absent: the first.
+export async function showMeasurement(name, item) {
+  showAgain = null;
+  byId('run-list').hidden = true;
+  clearCharts();
+  const detail = byId('run-detail');
+  let data;
+  try {
+    data = await askForView(`/measurements/${encoded(name)}${item ? `/items/${encoded(item)}` : ''}/result`, detail, t`Reading and analysing ${name}`);
+  } catch (error) {
+    return say('run-detail', error);
+  }
+  if (!data) return;
+  const {measurement, results: [result]} = data, {runs} = measurement;
+  const whole = {name: measurement.name, state: 'complete', simulated: runs.find(({simulated}) => simulated)?.simulated};
+  const several = measurement.items > 1;
+  const others = Array.from({length: several ? measurement.items : 0}, (_, k) => [k ? ', ' : '', element('a', {href: `#measurements/${encoded(name)}/${k + 1}`, 'aria-current': k + 1 === data.item ? 'page' : false}, t`item ${k + 1}`)]).flat();
+  detail.replaceChildren(
+    element('p', {class: 'bar', id: 'run-head'}, element('a', {href: '#runs', class: 'no-print'}, t('All runs')), element('strong', {id: 'run-name'}, measurement.name), element('span', {}, ...others)),
+    verdict(result, whole),
+    card(several ? t`Joint result of item ${data.item}` : t('Joint result of all runs'), answer(result, data.dominates)),
+    ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
+    downloads(data.downloads, whole, several ? data.item : 0, 'measurements'),
+    card(t('Runs'), membersOf(runs, result.series ?? [])),
+    card(t('Checks of the result'), checks(result, data.meanings)),
+    ...(result.stage_record ? [card(t('Record of the stage'), stageRecord(result.stage_record))] : []));
+  byId('main').focus({preventScroll: true});
+}
+
+// Each run of a measurement: how the item stood, and how far its results alone are from the joint one.
+function membersOf(runs, series) {
+  const apart = ({alone}, estimator) => (alone?.[estimator] ? `${alone[estimator].largest_difference_in_u.toFixed(1)} u (${alone[estimator].output})` : DASH);
+  const made = table(t('How far the results of each run alone are from the joint one: the largest difference of s, phi and O.'), [t('Run'), t('Begun'), t('Operator'), t('Mounting'), t('Alone'), 'ABC', 'norm', t('joint')],
+    runs.map((run, i) => [run.is_here ? element('a', {href: `#runs/${encoded(run.name)}`}, run.name) : run.name, day(run.created_utc), operatorIn(run.operator) || DASH, series[i]?.mounting ?? DASH,
+      verdictMark(series[i]?.verdict_alone), ...['abc', 'norm', 'joint'].map((estimator) => (series[i] ? apart(series[i], estimator) : DASH))]));
+  made.id = 'measurement-runs';
+  return scrollable('scroll-x', t('Runs'), made);
+}
+
 const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
 
 export function verdict(result, run) {
@@ -281,12 +335,12 @@ function flagged(result, meanings) {
   return made;
 }
 
-// item: its number; 0: the run has one item.
-export function downloads(kinds, run, item) {
+// item: its number; 0: the run has one item. from: the first word of the path.
+export function downloads(kinds, run, item, from = 'runs') {
   const bar = element('p', {class: 'bar'}, t('Download:')), making = element('div', {class: 'bar'});
   for (const {name, words} of kinds || []) {
-    const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}${item ? `/items/${item}` : ''}/${name}`,
-      download: `${run.name.replace(/\.run$/, '')}${item ? `-item-${item}` : ''}-${name}`}, t(words));
+    const link = element('a', {class: 'button', href: `/${from}/${encoded(run.name)}${item ? `/items/${item}` : ''}/${name}`,
+      download: `${run.name.replace(/\.(run|measurement)$/, '')}${item ? `-item-${item}` : ''}-${name}`}, t(words));
     bar.append(name.endsWith('.pdf') ? savesPatiently(link, making) : link);
   }
   return element('div', {}, bar, making);

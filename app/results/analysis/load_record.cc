@@ -55,7 +55,7 @@ NamedItem named_item(const std::string& name) {
 
 std::size_t items_of_file(const std::filesystem::path& path) {
   std::error_code error;
-  if (looks_like_measurement(path)) return static_cast<std::size_t>(items_of_measurement(path));
+  if (looks_like_measurement(path)) return static_cast<std::size_t>(listed_measurement(path).items);
   const bool is_run = std::filesystem::is_regular_file(path, error) && RunFile::looks_like_run_file(path);
   return is_run ? std::max<std::size_t>(1, RunFile::count_items(path)) : 1;
 }

@@ -57,22 +57,25 @@ class FolderByHash {
   std::map<std::string, std::filesystem::path> files_;
 };
 
+/// Finds where a part is now, if it was renamed.
+/// @param folder  of the measurement
 /// @param problems  receives the problem of a part that is not found
-MeasurementPart find_part(const Json& json, const std::filesystem::path& folder, FolderByHash& others,
-                          std::vector<std::string>& problems) {
-  const std::string name = json.at("file").get<std::string>();
-  MeasurementPart part{folder / name, json.at("sha256").get<std::string>()};
+void find_part(MeasurementPart& part, const std::filesystem::path& folder, FolderByHash& others,
+               std::vector<std::string>& problems) {
   std::error_code error;
   const bool is_there = std::filesystem::is_regular_file(part.path, error);
-  if (is_there && sha256_of_file(part.path) == part.sha256) return part;
-  if (const auto found = others.find(part.sha256, part.path.extension().string()))
-    return {*found, part.sha256};
+  if (is_there && sha256_of_file(part.path) == part.sha256) return;
+  const std::string extension = part.path.extension().string();
+  if (const auto found = others.find(part.sha256, extension)) {
+    part.path = *found;
+    return;
+  }
+  const std::string name = part.path.lexically_relative(folder).generic_string();
   problems.push_back(
       is_there ? fmt::format("{} was changed after the measurement was made: its SHA-256 is not {}", name,
                              part.sha256)
                : fmt::format("{} is not there, nor is another file with its SHA-256 ({}) in {}", name,
                              part.sha256, folder.empty() ? std::string("this folder") : folder.string()));
-  return part;
 }
 
 [[noreturn]] void refuse(const std::filesystem::path& path, const std::string& why) {
@@ -108,24 +111,29 @@ bool looks_like_measurement(const std::filesystem::path& path) {
   return start.starts_with('{') && start.find("\"abcal.measurement/") < 64;
 }
 
-int items_of_measurement(const std::filesystem::path& path) {
-  return read_header(path, parsed(path)).items;
-}
-
-MeasurementFile read_measurement(const std::filesystem::path& path) {
+MeasurementFile listed_measurement(const std::filesystem::path& path) {
   const Json json = parsed(path);
   MeasurementFile measurement = read_header(path, json);
-  std::vector<std::string> problems;
   const std::filesystem::path folder = path.parent_path();  // As the user names it.
-  FolderByHash others(folder);
+  const auto part_of = [&](const Json& part) {
+    return MeasurementPart{folder / part.at("file").get<std::string>(), part.at("sha256").get<std::string>()};
+  };
   try {
-    for (const Json& run : json.at("runs"))
-      measurement.runs.push_back(find_part(run, folder, others, problems));
+    for (const Json& run : json.at("runs")) measurement.runs.push_back(part_of(run));
     if (const auto record = json.find("stage_record"); record != json.end())
-      measurement.stage_record = find_part(*record, folder, others, problems);
+      measurement.stage_record = part_of(*record);
   } catch (const nlohmann::json::exception& error) {
     refuse(path, fmt::format("is no complete measurement: {}; {}", error.what(), kAsWritten));
   }
+  return measurement;
+}
+
+MeasurementFile read_measurement(const std::filesystem::path& path) {
+  MeasurementFile measurement = listed_measurement(path);
+  std::vector<std::string> problems;
+  FolderByHash others(path.parent_path());
+  for (MeasurementPart& run : measurement.runs) find_part(run, path.parent_path(), others, problems);
+  if (measurement.stage_record) find_part(*measurement.stage_record, path.parent_path(), others, problems);
   if (!problems.empty())
     refuse(path, fmt::format("{}; required: each file as it was, in that place or beside the measurement",
                              fmt::join(problems, "; ")));

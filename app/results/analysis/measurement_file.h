@@ -37,9 +37,10 @@ MeasurementFile read_measurement(const std::filesystem::path& path);
 /// @throws as read_measurement()
 std::vector<std::string> runs_of_file(const std::string& file);
 
-/// The number of items of each of its runs, without a look at them.
+/// A measurement as it is written, without a look at its files: whether they are there and unchanged is not
+/// known.
 /// @throws std::runtime_error not a measurement
-int items_of_measurement(const std::filesystem::path& path);
+MeasurementFile listed_measurement(const std::filesystem::path& path);
 
 /// Writes a new measurement. Does nothing if the file is there already and names the same files.
 /// @return whether it was written
