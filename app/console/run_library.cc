@@ -190,7 +190,16 @@ std::optional<std::filesystem::path> RunLibrary::find_measurement(const std::str
   return file_in(folder_, name, kMeasurement);
 }
 
-Json RunLibrary::measurements() const {
+/// What is simulated of a run in the folder, as a list shows it; null: nothing, or it is not there.
+Json RunLibrary::simulated_in(const std::string& name) {
+  PageAsked asked;
+  asked.search = name;
+  for (Json& run : index_.page(asked, kPatience).runs)
+    if (run.at("name") == name) return std::move(run["simulated"]);
+  return nullptr;
+}
+
+Json RunLibrary::measurements() {
   std::vector<Json> list;
   std::error_code error;
   for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
@@ -204,6 +213,8 @@ Json RunLibrary::measurements() const {
       json["items"] = measurement.items;
       json["runs"] = measurement.runs.size();
       json["verdict"] = kept_verdict(path, std::string(kDefaultEstimator));
+      json["simulated"] =
+          measurement.runs.empty() ? Json(nullptr) : simulated_in(measurement.runs.front().path.filename());
     } catch (const std::exception& problem) {
       json["why"] = problem.what();
     }

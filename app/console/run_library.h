@@ -52,7 +52,7 @@ class RunLibrary {
   /// The file of this name, if it is a measurement of several runs in the folder.
   std::optional<std::filesystem::path> find_measurement(const std::string& name) const;
   /// All measurements of several runs, newest first, with the verdict that was stored.
-  nlohmann::ordered_json measurements() const;
+  nlohmann::ordered_json measurements();
   /// One measurement with its runs, and the joint result of one item (abcal.result/1).
   /// @param item  from 1; 0: the first
   /// @throws as analyse_file(); std::invalid_argument there is no such item
@@ -74,6 +74,8 @@ class RunLibrary {
 
  private:
   static constexpr std::chrono::milliseconds kPatience{500};
+
+  nlohmann::ordered_json simulated_in(const std::string& name);
 
   std::filesystem::path folder_;
   RunIndex index_;

@@ -103,6 +103,7 @@ TEST_F(RunLibraryTest, ShowsAMeasurementOfSeveralRuns) {
   EXPECT_EQ(list[0]["name"], "m.measurement");
   EXPECT_EQ(list[0]["runs"], 2);
   EXPECT_EQ(list[0]["verdict"], stated["verdict"]);
+  EXPECT_EQ(list[0]["simulated"], "stage, accelerometer");
   EXPECT_EQ(list[1]["name"], "broken.measurement");
   EXPECT_THAT(list[1]["why"].get<std::string>(), HasSubstr("is no complete measurement"));
 

@@ -169,7 +169,7 @@ async function drawMeasurements(isLife) {
   } catch {}  // The list of runs below says that the console does not answer.
   holder.hidden = all.length === 0;
   holder.replaceChildren(element('h3', {id: 'measurement-list-title'}, t('Measurements of several runs')), scrollable('scroll-x stack', t('Measurements of several runs'), table(t('Runs that are evaluated together: abcal combine, abcal mountings.'), [t('Measurement'), t('Made'), t('Runs'), t('Items'), t('Result')],
-    all.map((one) => (one.why ? [one.name, DASH, DASH, DASH, said(one.why)] : [element('a', {href: `#measurements/${encoded(one.name)}`}, one.name), day(one.created_utc), one.runs, one.items, verdictMark(one.verdict)])))));
+    all.map((one) => (one.why ? [one.name, DASH, DASH, DASH, said(one.why)] : [element('a', {href: `#measurements/${encoded(one.name)}`}, one.name), day(one.created_utc), one.runs, one.items, element('span', {}, ...(one.simulated ? [simulatedMark(one), ' '] : []), verdictMark(one.verdict))])))));
 }
 
 // Shows the results of all runs of one item or bench, with links to its control charts.
@@ -273,7 +273,7 @@ export async function showMeasurement(name, item) {
     ...(data.certificate ? [card(t('What the certificate states'), certified(data.certificate))] : []),
     downloads(data.downloads, whole, several ? data.item : 0, 'measurements'),
     card(t('Runs'), membersOf(runs, result.series ?? [])),
-    card(t('Checks of the result'), checks(result, data.meanings)),
+    ...(result.diagnostics.checks.length ? [card(t('Checks of the result'), checks(result, data.meanings))] : []),
     ...(result.stage_record ? [card(t('Record of the stage'), stageRecord(result.stage_record))] : []));
   byId('main').focus({preventScroll: true});
 }
