@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -67,6 +68,120 @@ ArtefactStep step_of(const Repeats& repeats, bool slope, const ConsistencyTest& 
     step.u = u(step.quantity);
   }
   return step;
+}
+
+void require_prior(const DriftPrior& prior) {
+  if (!(prior.walk >= 0.0 && prior.walk <= 1.0) || prior.sizes.empty() ||
+      !std::ranges::all_of(prior.sizes, [](double size) { return size > 0.0 && std::isfinite(size); }))
+    throw KeyComparisonError(
+        "a prior of the drift needs a probability of a walk from 0 to 1 and sizes above 0");
+}
+
+/// How results and rates follow from all measurements.
+struct Transfer {
+  MatrixXd map;   ///< n p x all: transferred results, participant by participant.
+  MatrixXd rate;  ///< p x all
+  /// Covariance of results and rates, in this order, that the model of the drift adds to that of the
+  /// measurements.
+  MatrixXd model_covariance;
+};
+
+/// The measurements of one quantity, in the order of the schedule.
+struct OneQuantity {
+  VectorXd times, values;  ///< From the reference time, from the origin.
+  MatrixXd covariance;
+  std::vector<Index> repeats;  ///< Places of the pilot's.
+  std::vector<Index> rows;     ///< Row of the result that each measurement gives.
+  Index participants = 0;
+
+  double span() const { return times(repeats.back()) - times(repeats.front()); }
+};
+
+/// Covariance of a drift at all times, 0 at the reference time, whose change in the span has the size `size`.
+MatrixXd drift_covariance(const OneQuantity& measured, bool walk, double size) {
+  const VectorXd fraction = measured.times / measured.span();
+  MatrixXd covariance = fraction * fraction.transpose();
+  if (walk)
+    covariance =
+        covariance.binaryExpr(fraction.replicate(1, fraction.size()), [](double product, double one) {
+          return product > 0.0 ? std::min(std::abs(one), product / std::abs(one)) : 0.0;
+        });
+  return size * size * covariance;
+}
+
+/// Results and rate by one model of the drift.
+struct WeighedModel {
+  bool walk;
+  double log_weight;    ///< Prior and marginal likelihood.
+  MatrixXd map;         ///< n + 1 x all: results of the participants, and the rate.
+  MatrixXd covariance;  ///< Covariance of their errors.
+};
+
+/// The repeats y have a mean x with a flat prior and the covariance V, which is that of the measurements and
+/// K of the drift. The result at the reference time is the generalised mean of y; the drift of each
+/// measurement is K V^-1 (y - x).
+WeighedModel model_of(const OneQuantity& measured, bool walk, double probability, double size) {
+  const std::vector<Index>& repeats = measured.repeats;
+  const auto count = static_cast<Index>(repeats.size()), n = measured.participants;
+  const MatrixXd drift = drift_covariance(measured, walk, size);
+  const Eigen::LLT<MatrixXd> factor(measured.covariance(repeats, repeats) + drift(repeats, repeats));
+  if (factor.info() != Eigen::Success)
+    throw KeyComparisonError("the covariances of the pilot's measurements contradict one another");
+  const VectorXd ones = VectorXd::Ones(count), weights = factor.solve(ones);
+  const double information = weights.sum();
+  const MatrixXd mean = weights.transpose() / information;
+  const MatrixXd residual = MatrixXd::Identity(count, count) - ones * mean;
+  const MatrixXd of_drift = drift(Eigen::all, repeats) * factor.solve(residual);
+  MatrixXd map = MatrixXd::Zero(n + 1, measured.times.size());
+  for (Index k = 0; k < measured.times.size(); ++k) {
+    if (std::ranges::find(repeats, k) != repeats.end()) continue;
+    map(measured.rows[static_cast<std::size_t>(k)], k) = 1.0;
+    map(measured.rows[static_cast<std::size_t>(k)], repeats) -= of_drift.row(k);
+  }
+  const Index first = repeats.front(), last = repeats.back();
+  map(measured.rows[static_cast<std::size_t>(first)], repeats) = mean;
+  map(n, repeats) = (of_drift.row(last) - of_drift.row(first)) / measured.span();
+  // The rate has the error of the drift's change, the results have that of the drift at their times.
+  MatrixXd of_drift_error = map;
+  of_drift_error(n, last) -= 1.0 / measured.span();
+  of_drift_error(n, first) += 1.0 / measured.span();
+  const VectorXd errors = residual * measured.values(repeats);
+  const double log_determinant =
+      2.0 * factor.matrixLLT().diagonal().array().log().sum() + std::log(information);
+  return {.walk = walk,
+          .log_weight = std::log(probability) - 0.5 * (log_determinant + errors.dot(factor.solve(errors))),
+          .map = map,
+          .covariance = map * measured.covariance * map.transpose() +
+                        of_drift_error * drift * of_drift_error.transpose()};
+}
+
+/// The mean of lines and walks of all sizes.
+struct AveragedModel {
+  double walk_probability = 0.0;
+  MatrixXd map;               ///< As WeighedModel::map.
+  MatrixXd model_covariance;  ///< Part of the covariance from the drift and the choice of its model.
+};
+AveragedModel average_of_models(const OneQuantity& measured, const DriftPrior& prior, double unit) {
+  std::vector<WeighedModel> models;
+  for (const bool walk : {false, true})
+    for (const double size : prior.sizes)
+      models.push_back(model_of(measured, walk, walk ? prior.walk : 1.0 - prior.walk, size * unit));
+  const double largest = std::ranges::max(models, {}, &WeighedModel::log_weight).log_weight;
+  AveragedModel mean;
+  mean.map = MatrixXd::Zero(models.front().map.rows(), models.front().map.cols());
+  double sum = 0.0;
+  for (const WeighedModel& one : models) sum += std::exp(one.log_weight - largest);
+  const auto weight = [&](const WeighedModel& one) { return std::exp(one.log_weight - largest) / sum; };
+  for (const WeighedModel& one : models) {
+    mean.map += weight(one) * one.map;
+    if (one.walk) mean.walk_probability += weight(one);
+  }
+  mean.model_covariance = -mean.map * measured.covariance * mean.map.transpose();
+  for (const WeighedModel& one : models) {
+    const VectorXd apart = (one.map - mean.map) * measured.values;
+    mean.model_covariance += weight(one) * (one.covariance + apart * apart.transpose());
+  }
+  return mean;
 }
 
 void require_measurements(const std::vector<ArtefactMeasurement>& measurements,
@@ -155,7 +270,7 @@ Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& 
 TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& measurements,
                                        const std::vector<SharedSource>& shared,
                                        const std::vector<double>& coverage_factors, std::size_t pilot,
-                                       DriftModel model, double level) {
+                                       DriftModel model, double level, const DriftPrior& prior) {
   require_measurements(measurements, coverage_factors, pilot);
   const Index p = measurements.front().values.size();
   const MatrixXd covariance = measurements_covariance(measurements, shared);
@@ -170,7 +285,8 @@ TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& m
     for (Index q = 0; q < p; ++q) rows.push_back(static_cast<Index>(k) * p + q);
   }
   const std::size_t count = repeats.positions.size();
-  const bool slope = model == DriftModel::kLine;
+  const bool slope = model != DriftModel::kNone;
+  const bool averaged = model == DriftModel::kLineOrWalk && count > 2;
   if (slope && (count < 2 || repeats.times.front() == repeats.times.back()))
     throw KeyComparisonError("a drift needs two measurements of the pilot, at different times");
   for (const double time : repeats.times) out.reference_time += time / static_cast<double>(count);
@@ -189,25 +305,55 @@ TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& m
       slope ? generalised_fit(repeats.design(true), repeats.values, repeats.covariance) : constant;
   if (slope && count > 2) out.line = test_of_fit(fit);
   const ConsistencyTest tested = out.line.value_or(out.constant);
-  if (count > 1 && (!slope || out.line) && tested.probability < level)
+  if (!averaged && count > 1 && (!slope || out.line) && tested.probability < level)
     out.step = step_of(repeats, slope, tested);
 
   const auto n = static_cast<Index>(coverage_factors.size());
-  MatrixXd map = MatrixXd::Zero(n * p, covariance.rows());
-  const MatrixXd of_rate = slope ? MatrixXd(fit.map.bottomRows(p)) : MatrixXd::Zero(p, fit.map.cols());
-  map(Eigen::seqN(static_cast<Index>(pilot) * p, p), rows) = fit.map.topRows(p);
-  for (std::size_t k = 0; k < measurements.size(); ++k) {
-    if (measurements[k].participant == pilot) continue;
-    const Index to = static_cast<Index>(measurements[k].participant) * p;
-    map.block(to, static_cast<Index>(k) * p, p, p).setIdentity();
-    map(Eigen::seqN(to, p), rows) -= (measurements[k].time - out.reference_time) * of_rate;
+  Transfer transfer{.map = MatrixXd::Zero(n * p, covariance.rows()),
+                    .rate = MatrixXd::Zero(p, covariance.rows()),
+                    .model_covariance = MatrixXd::Zero((n + 1) * p, (n + 1) * p)};
+  if (averaged) {
+    require_prior(prior);
+    out.walk_probability.resize(p);
+    OneQuantity measured;
+    measured.participants = n;
+    measured.times.resize(static_cast<Index>(measurements.size()));
+    for (std::size_t k = 0; k < measurements.size(); ++k) {
+      const ArtefactMeasurement& one = measurements[k];
+      measured.times(static_cast<Index>(k)) = one.time - out.reference_time;
+      measured.rows.push_back(static_cast<Index>(one.participant));
+      if (one.participant == pilot) measured.repeats.push_back(static_cast<Index>(k));
+    }
+    for (Index q = 0; q < p; ++q) {
+      const auto of_all = Eigen::seqN(q, measured.times.size(), p);
+      measured.values = from_origin(of_all);
+      measured.covariance = covariance(of_all, of_all);
+      const AveragedModel mean =
+          average_of_models(measured, prior, measurements[repeats.positions.front()].repeatability(q));
+      out.walk_probability(q) = mean.walk_probability;
+      transfer.map(Eigen::seqN(q, n, p), of_all) = mean.map.topRows(n);
+      transfer.rate(q, of_all) = mean.map.bottomRows(1);
+      const auto of_results = Eigen::seqN(q, n + 1, p);
+      transfer.model_covariance(of_results, of_results) = mean.model_covariance;
+    }
+  } else {
+    if (slope) transfer.rate(Eigen::all, rows) = fit.map.bottomRows(p);
+    transfer.map(Eigen::seqN(static_cast<Index>(pilot) * p, p), rows) = fit.map.topRows(p);
+    for (std::size_t k = 0; k < measurements.size(); ++k) {
+      if (measurements[k].participant == pilot) continue;
+      const Index to = static_cast<Index>(measurements[k].participant) * p;
+      transfer.map.block(to, static_cast<Index>(k) * p, p, p).setIdentity();
+      transfer.map.middleRows(to, p) -= (measurements[k].time - out.reference_time) * transfer.rate;
+    }
   }
   out.results = {.quantities = p,
-                 .values = map * from_origin + origin.replicate(n, 1),
-                 .covariance = map * covariance * map.transpose(),
+                 .values = transfer.map * from_origin + origin.replicate(n, 1),
+                 .covariance = transfer.map * covariance * transfer.map.transpose() +
+                               transfer.model_covariance.topLeftCorner(n * p, n * p),
                  .coverage_factors = coverage_factors};
-  out.rate = of_rate * repeats.values;
-  out.rate_covariance = of_rate * repeats.covariance * of_rate.transpose();
+  out.rate = transfer.rate * from_origin;
+  out.rate_covariance = transfer.rate * covariance * transfer.rate.transpose() +
+                        transfer.model_covariance.bottomRightCorner(p, p);
   return out;
 }
 

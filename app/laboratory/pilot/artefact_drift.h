@@ -32,8 +32,21 @@ struct SharedSource {
 };
 
 enum class DriftModel {
-  kNone,  ///< The artefact has one value.
-  kLine,  ///< It changes in proportion to time.
+  kNone,        ///< The artefact has one value.
+  kLine,        ///< It changes in proportion to time.
+  kLineOrWalk,  ///< It changes in proportion to time or wanders, which of them is not known.
+};
+
+/// The prior distribution of a drift that is a line or a random walk. Each quantity has its own kind and its
+/// own size: the standard deviation of its change between the pilot's first and last measurements. A line has
+/// a normal rate of mean 0; a walk has independent normal increments with variances in proportion to time.
+/// The kind has the probability `walk`, and all sizes are equally probable.
+struct DriftPrior {
+  double walk = 0.5;
+  /// In repeatabilities of the pilot's first measurement. A size below a tenth has no effect on repeats, and
+  /// a step of half a power of ten is less than the factor to which a few repeats determine a standard
+  /// deviation.
+  std::vector<double> sizes{0.1, 0.316, 1.0, 3.16, 10.0, 31.6, 100.0, 316.0, 1000.0};
 };
 
 /// A change of the artefact that no line explains.
@@ -50,11 +63,15 @@ struct TransferredResults {
   /// In the order of participants. The pilot's is the value of its fit at `reference_time`.
   ParticipantResults results;
   double reference_time = 0.0;  ///< The mean time of the pilot's measurements.
-  Eigen::VectorXd rate;         ///< Change in a unit of time, p; zero without drift.
+  /// Mean change in a unit of time between the pilot's first and last measurements, p; zero without drift.
+  Eigen::VectorXd rate;
   Eigen::MatrixXd rate_covariance;
+  /// Posterior probability that a quantity wanders, p; empty if a walk is not considered.
+  Eigen::VectorXd walk_probability;
   ConsistencyTest constant;  ///< Test of one value for all repeats.
   std::optional<ConsistencyTest>
       line;  ///< With a line; absent for fewer than three repeats, or no drift model.
+  /// Absent where a walk is considered: a step is an increment of it.
   std::optional<ArtefactStep> step;
 };
 
@@ -66,15 +83,19 @@ Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& 
                                         const std::vector<SharedSource>& shared);
 
 /// Brings all results to the mean time of the pilot's measurements, by the drift that these show
-/// (generalised least squares), with the covariances that this makes.
+/// (generalised least squares), with the covariances that this makes. With kLineOrWalk and three or more
+/// repeats the corrections of lines and walks of all sizes are averaged, weighted by prior and marginal
+/// likelihood (J. A. Hoeting et al., Statist. Sci. 14, 382, 1999); covariances include the differences
+/// between these models. Kinds and sizes of different quantities are taken as independent, and each is judged
+/// by the repeats of its quantity. Two repeats determine a line only, as with kLine.
 /// @param measurements  in the order of time; each participant from 0 to the largest has one at least
 /// @param coverage_factors  of each participant
 /// @param level  a step is reported if the probability of the model without it is below this
 /// @throws KeyComparisonError a participant other than the pilot with several measurements or without any, a
-/// line through fewer than two measurements of the pilot, sizes that do not fit
+/// line through fewer than two measurements of the pilot, sizes that do not fit, a prior that is none
 TransferredResults transferred_results(const std::vector<ArtefactMeasurement>& measurements,
                                        const std::vector<SharedSource>& shared,
                                        const std::vector<double>& coverage_factors, std::size_t pilot,
-                                       DriftModel model, double level);
+                                       DriftModel model, double level, const DriftPrior& prior = {});
 
 }  // namespace abcal

@@ -41,9 +41,13 @@ void read_comparison(TomlReader& keys, ComparisonProtocol& protocol) {
   std::string procedure(kReferenceProcedures.of(protocol.procedure)), drift = "none";
   keys.text("procedure", procedure, kReferenceProcedures.all());
   protocol.procedure = kReferenceProcedures.value(procedure).value_or(protocol.procedure);
-  keys.text("drift", drift, {"none", "line per transfer", "line per day"});
-  protocol.drift = drift == "none" ? DriftModel::kNone : DriftModel::kLine;
-  protocol.drift_per_day = drift == "line per day";
+  keys.text(
+      "drift", drift,
+      {"none", "line per transfer", "line per day", "line or walk per transfer", "line or walk per day"});
+  protocol.drift = drift == "none"                     ? DriftModel::kNone
+                   : drift.starts_with("line or walk") ? DriftModel::kLineOrWalk
+                                                       : DriftModel::kLine;
+  protocol.drift_per_day = drift.ends_with("per day");
   keys.number("level", protocol.level, {0.001, 0.2});
   constexpr int kFewestDraws = 1000, kMostDraws = 1'000'000;
   keys.integer("draws", protocol.draws, kFewestDraws, kMostDraws);
@@ -102,8 +106,8 @@ void read_schedule(TomlReader& keys, ComparisonProtocol& protocol) {
                        "one; several by the pilot alone");
   }
   const auto repeats = count_of(protocol.pilot);
-  if (protocol.drift == DriftModel::kLine && repeats < 2)
-    keys.add_problem("comparison.drift", fmt::format("a line, and {} measurement by the pilot", repeats),
+  if (protocol.drift != DriftModel::kNone && repeats < 2)
+    keys.add_problem("comparison.drift", fmt::format("a drift, and {} measurement by the pilot", repeats),
                      "two measurements by the pilot; three show whether it is a line");
   if (repeats > 1 && protocol.repeatability.empty())
     keys.add_problem(
@@ -211,7 +215,7 @@ pilot = "LAB1"                  # measures at the start, between, and at the end
 item_serial_number = "17"       # of the artefact
 response_unit = "V"             # sensitivities are per m/s2, angles in degrees, offsets in this unit
 procedure = "A-or-B"            # or "A", "B", "subset", "subset-per-quantity", "random-effects"
-drift = "line per transfer"     # or "none", "line per day"
+drift = "line per transfer"     # or "none", "line per day", "line or walk per transfer", "line or walk per day"
 # Standard uncertainty of the part that differs between the pilot's repeats: s_u s_v s_w, phi_uv phi_vw phi_wu, O_u O_v O_w.
 repeatability = [1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4, 2e-6, 2e-6, 2e-6]
 

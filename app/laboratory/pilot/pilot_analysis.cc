@@ -356,7 +356,7 @@ std::string PilotAnalysis::step_words() const {
       "one "
       "artefact.",
       measurements[step.before].number, measurements[step.after].number, protocol.quantities[q], step.change,
-      units[q], step.u, protocol.drift == DriftModel::kLine ? "a drift along a line" : "repeatability",
+      units[q], step.u, protocol.drift != DriftModel::kNone ? "a drift along a line" : "repeatability",
       step.test.probability);
 }
 
@@ -380,7 +380,10 @@ PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const Compa
   const auto pilot = static_cast<std::size_t>(std::ranges::find(analysis.participants, protocol.pilot) -
                                               analysis.participants.begin());
   const auto repeats = std::ranges::count(measurements, pilot, &ArtefactMeasurement::participant);
-  if (protocol.drift == DriftModel::kLine && repeats == 2)
+  if (protocol.drift == DriftModel::kLineOrWalk && repeats == 2)
+    analysis.notes.emplace_back(
+        "the pilot measured twice: its drift is taken as a line, because two results cannot show a walk");
+  if (protocol.drift != DriftModel::kNone && repeats == 2)
     analysis.notes.emplace_back(
         "the pilot measured twice: a line goes through any two results, so that a step of the artefact "
         "between "

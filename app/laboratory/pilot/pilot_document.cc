@@ -129,20 +129,33 @@ Section artefact_section(const PilotAnalysis& analysis) {
   if (transferred.constant.degrees_of_freedom > 0)
     facts.facts.emplace_back("without drift", test_words(transferred.constant));
   if (transferred.line) facts.facts.emplace_back("with a line", test_words(*transferred.line));
+  const bool averaged = transferred.walk_probability.size() > 0;
+  if (averaged) {
+    const DriftPrior prior;
+    facts.facts.emplace_back(
+        "model of the drift",
+        fmt::format(
+            "lines and random walks, averaged by marginal likelihood; prior of each quantity: a walk "
+            "with probability {:g}, changes between the pilot's first and last measurements of {:g} to "
+            "{:g} repeatabilities",
+            prior.walk, prior.sizes.front(), prior.sizes.back()));
+  }
   section.blocks.emplace_back(facts);
-  if (analysis.protocol.drift != DriftModel::kLine) return section;
+  if (analysis.protocol.drift == DriftModel::kNone) return section;
   const std::string time = analysis.protocol.drift_per_day ? "day" : "transfer";
   DocumentTable table{"Drift, by which all results are brought to the mean time of the pilot's measurements",
                       {{"quantity", CellKind::kSymbol},
                        {"change in a " + time + " ± u", CellKind::kNumber},
                        {"unit", CellKind::kUnit}},
                       {}};
+  if (averaged) table.columns.push_back({"probability of a walk", CellKind::kNumber});
   for (std::size_t q = 0; q < analysis.units.size(); ++q) {
     const auto at = static_cast<Index>(q);
     table.rows.push_back(
         {analysis.protocol.quantities[q],
          with_plus_minus(transferred.rate(at), std::sqrt(transferred.rate_covariance(at, at))),
          analysis.units[q]});
+    if (averaged) table.rows.back().push_back(probability_words(transferred.walk_probability(at)));
   }
   section.blocks.emplace_back(std::move(table));
   return section;

@@ -118,6 +118,7 @@ Json pilot_json(const PilotAnalysis& analysis) {
              {{"reference_time", transferred.reference_time},
               {"rate", list_of_numbers(transferred.rate)},
               {"rate_covariance", list_of_rows(transferred.rate_covariance)},
+              {"walk_probability", list_of_numbers(transferred.walk_probability)},
               {"constant", json_of_test(transferred.constant)},
               {"line", transferred.line ? json_of_test(*transferred.line) : Json(nullptr)},
               {"step", json_of_step(analysis)}}},

@@ -51,6 +51,14 @@ class PilotCommand : public ProgramTest {
     test::write_file(folder / "c.toml", text);
   }
 
+  /// Puts other words in the protocol.
+  void change_protocol(const std::string& from, const std::string& to) {
+    std::string text = test::read_file(folder / "c.toml");
+    const std::size_t at = text.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    test::write_file(folder / "c.toml", text.replace(at, from.size(), to));
+  }
+
   struct Made {
     std::array<double, 9> values = kTruth;
     std::string unit = "V", serial_number = "17";
@@ -361,6 +369,39 @@ TEST_F(PilotCommand, BrokenArtefactIsNamedBetweenItsTransfers) {
   EXPECT_THAT(result.out, AllOf(HasSubstr("The artefact changed between the pilot's measurements 3 and 6"),
                                 HasSubstr("phi_vw")));
   EXPECT_EQ(analysis(1)["artefact"]["step"]["between"], Json::array({3, 6}));
+}
+
+TEST_F(PilotCommand, DriftIsALineOrAWalk) {
+  change_protocol("line per transfer", "line or walk per transfer");
+  add_all();
+  const Json artefact = analysis(0)["artefact"];
+  ASSERT_EQ(artefact["walk_probability"].size(), 9U);
+  for (const Json& probability : artefact["walk_probability"]) {
+    EXPECT_GT(probability.get<double>(), 0.1);
+    EXPECT_LT(probability.get<double>(), 0.9) << "three repeats that agree show neither";
+  }
+  EXPECT_FALSE(artefact["line"].is_null());
+  EXPECT_THAT(pilot({"analyse", "c.toml"}).out,
+              AllOf(HasSubstr("lines and random walks, averaged"), HasSubstr("probability of a walk")));
+}
+
+TEST_F(PilotCommand, DriftOfTwoMeasurementsIsALineAndTheReportSaysSo) {
+  change_protocol("line per transfer", "line or walk per day");
+  change_protocol(
+      "[[measurement]]\nparticipant = \"LAB1\"\ndate = 2026-02-02\n[[measurement]]\nparticipant = "
+      "\"LAB3\"\ndate = 2026-02-02\n",
+      "[[measurement]]\nparticipant = \"LAB3\"\ndate = 2026-03-02\n");
+  change_protocol("\"LAB4\"\ndate = 2026-02-02\n[[measurement]]\nparticipant = \"LAB1\"\ndate = 2026-02-02",
+                  "\"LAB4\"\ndate = 2026-04-02\n[[measurement]]\nparticipant = \"LAB1\"\ndate = 2026-06-02");
+  int number_of = 0;
+  for (const char* name : {"LAB1", "LAB2", "LAB3", "LAB4", "LAB1"}) {
+    const std::string file = std::to_string(++number_of) + ".csv";
+    write_table(file, Made(), static_cast<unsigned>(number_of));
+    ASSERT_EQ(add(name, file).exit_code, 0);
+  }
+  const Json json = analysis(0);
+  EXPECT_EQ(json["artefact"]["walk_probability"], Json::array());
+  EXPECT_THAT(json["notes"].dump(), HasSubstr("two results cannot show a walk"));
 }
 
 TEST_F(PilotCommand, ParticipantThatDiffersIsNamed) {
