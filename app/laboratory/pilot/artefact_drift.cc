@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -203,6 +204,53 @@ void require_measurements(const std::vector<ArtefactMeasurement>& measurements,
   }
 }
 
+/// The part of a measurement that a participant's repeats have in common; all of it without repeats.
+struct CommonPart {
+  VectorXd u;
+  MatrixXd correlation;  ///< That of the participant's first measurement.
+  VectorXd own;          ///< The rest, which differs between repeats, as a part of the stated uncertainty.
+};
+CommonPart common_part(const std::vector<ArtefactMeasurement>& measurements, const ArtefactMeasurement& one) {
+  const MatrixXd& first =
+      std::ranges::find(measurements, one.participant, &ArtefactMeasurement::participant)->covariance;
+  const VectorXd inverse = first.diagonal().cwiseSqrt().cwiseInverse();
+  const VectorXd u = one.covariance.diagonal().cwiseSqrt();
+  CommonPart common{u, inverse.asDiagonal() * first * inverse.asDiagonal(), VectorXd::Zero(u.size())};
+  if (std::ranges::count(measurements, one.participant, &ArtefactMeasurement::participant) < 2) return common;
+  const VectorXd variance = one.covariance.diagonal() - one.repeatability.cwiseAbs2();
+  if (!(one.repeatability.array() > 0.0).all() || !(variance.array() >= 0.0).all())
+    throw KeyComparisonError(
+        "the repeatability of a participant with several measurements must be above 0 and at most its "
+        "stated uncertainty");
+  common.u = variance.cwiseSqrt();
+  common.own = one.repeatability.cwiseQuotient(u);
+  return common;
+}
+
+/// A matrix whose product with that of another participant is their covariance in some quantities, if an
+/// effect moves all of these.
+MatrixXd root_in(const CommonPart& common, const std::vector<Index>& quantities) {
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(common.correlation(quantities, quantities));
+  MatrixXd root = MatrixXd::Zero(common.u.size(), common.u.size());
+  root(quantities, quantities) = common.u(quantities).asDiagonal() * solver.operatorSqrt();
+  return root;
+}
+
+void require_positive_definite(const MatrixXd& covariance, const SharedSource& source) {
+  const VectorXd inverse = covariance.diagonal().cwiseSqrt().cwiseInverse();
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(
+      inverse.asDiagonal() * covariance * inverse.asDiagonal(), Eigen::EigenvaluesOnly);
+  // Eigenvalues of a correlation matrix are uncertain by its size in units of the rounding.
+  const double rounding = static_cast<double>(covariance.rows()) * std::numeric_limits<double>::epsilon();
+  if (solver.eigenvalues()(0) > rounding) return;
+  throw KeyComparisonError(fmt::format(
+      "correlation {:g} by {}: with it the covariance of the results is not positive definite (smallest "
+      "eigenvalue of the correlation matrix {:.2g}); required: a smaller correlation, which together with "
+      "the "
+      "other common parts is possible",
+      *source.correlation, source.name, solver.eigenvalues()(0)));
+}
+
 }  // namespace
 
 Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& measurements,
@@ -213,56 +261,41 @@ Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& 
   const auto block = [&](std::size_t i, std::size_t j) {
     return all.block(static_cast<Index>(i) * p, static_cast<Index>(j) * p, p, p);
   };
-  for (std::size_t i = 0; i < count; ++i) block(i, i) = measurements[i].covariance;
+  std::vector<CommonPart> common;
+  for (const ArtefactMeasurement& one : measurements) common.push_back(common_part(measurements, one));
   for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t j = i + 1; j < count; ++j) {
-      if (measurements[i].participant != measurements[j].participant) continue;
-      // The common part has the correlations of the participant's first measurement.
-      const ArtefactMeasurement& first =
-          *std::ranges::find(measurements, measurements[i].participant, &ArtefactMeasurement::participant);
-      const VectorXd inverse = first.covariance.diagonal().cwiseSqrt().cwiseInverse();
-      const MatrixXd correlation = inverse.asDiagonal() * first.covariance * inverse.asDiagonal();
-      std::array<VectorXd, 2> common;
-      for (std::size_t side = 0; side < 2; ++side) {
-        const ArtefactMeasurement& one = measurements[side == 0 ? i : j];
-        const VectorXd variance = one.covariance.diagonal() - one.repeatability.cwiseAbs2();
-        if (!(one.repeatability.array() > 0.0).all() || !(variance.array() >= 0.0).all())
-          throw KeyComparisonError(
-              "the repeatability of a participant with several measurements must be above 0 and at most its "
-              "stated uncertainty");
-        common[side] = variance.cwiseSqrt();
-      }
-      block(i, j) = common[0].asDiagonal() * correlation * common[1].asDiagonal();
-      block(j, i) = block(i, j).transpose();
-    }
+    for (std::size_t j = 0; j < count; ++j)
+      if (measurements[i].participant == measurements[j].participant)
+        block(i, j) = common[i].u.asDiagonal() * common[i].correlation * common[j].u.asDiagonal();
+    // A repeat is its common part and its repeatability, so that all together stay positive definite.
+    block(i, i) += common[i].own.asDiagonal() * measurements[i].covariance * common[i].own.asDiagonal();
   }
-  // A repeat is its common part and its repeatability, so that all together stay positive definite.
-  for (std::size_t i = 0; i < count; ++i) {
-    const ArtefactMeasurement& one = measurements[i];
-    if (std::ranges::count(measurements, one.participant, &ArtefactMeasurement::participant) < 2) continue;
-    const ArtefactMeasurement& first =
-        *std::ranges::find(measurements, one.participant, &ArtefactMeasurement::participant);
-    const VectorXd inverse = first.covariance.diagonal().cwiseSqrt().cwiseInverse();
-    const MatrixXd correlation = inverse.asDiagonal() * first.covariance * inverse.asDiagonal();
-    const VectorXd common = (one.covariance.diagonal() - one.repeatability.cwiseAbs2()).cwiseSqrt();
-    const VectorXd part = one.repeatability.cwiseQuotient(one.covariance.diagonal().cwiseSqrt());
-    block(i, i) = common.asDiagonal() * correlation * common.asDiagonal();
-    block(i, i) += part.asDiagonal() * one.covariance * part.asDiagonal();
-  }
-  for (const SharedSource& source : shared) {
-    if (source.u.size() != p)
-      throw KeyComparisonError(
-          fmt::format("shared source {}: {} uncertainties; required: {}", source.name, source.u.size(), p));
-    const MatrixXd common = source.together ? MatrixXd(source.u * source.u.transpose())
-                                            : MatrixXd(source.u.cwiseAbs2().asDiagonal());
-    const auto has = [&](std::size_t participant) {
-      return std::ranges::find(source.participants, participant) != source.participants.end();
+  const auto add = [&](const SharedSource& source, const auto& part_of) {
+    const auto has = [&](std::size_t i) {
+      return std::ranges::find(source.participants, measurements[i].participant) != source.participants.end();
     };
     for (std::size_t i = 0; i < count; ++i)
       for (std::size_t j = 0; j < count; ++j)
-        if (measurements[i].participant != measurements[j].participant && has(measurements[i].participant) &&
-            has(measurements[j].participant))
-          block(i, j) += common;
+        if (measurements[i].participant != measurements[j].participant && has(i) && has(j))
+          block(i, j) += part_of(i, j);
+  };
+  for (const SharedSource& source : shared) {
+    if (source.correlation) continue;
+    if (source.u.size() != p)
+      throw KeyComparisonError(
+          fmt::format("shared source {}: {} uncertainties; required: {}", source.name, source.u.size(), p));
+    const MatrixXd part = source.together ? MatrixXd(source.u * source.u.transpose())
+                                          : MatrixXd(source.u.cwiseAbs2().asDiagonal());
+    add(source, [&](std::size_t, std::size_t) -> const MatrixXd& { return part; });
+  }
+  for (const SharedSource& source : shared) {
+    if (!source.correlation) continue;
+    std::vector<MatrixXd> roots;
+    for (const CommonPart& one : common) roots.push_back(root_in(one, source.quantities));
+    add(source, [&](std::size_t i, std::size_t j) {
+      return MatrixXd(*source.correlation * roots[i] * roots[j].transpose());
+    });
+    require_positive_definite(all, source);
   }
   return all;
 }

@@ -22,6 +22,7 @@ struct ArtefactMeasurement {
 };
 
 /// An effect that several participants have in common: a stage record, a value of gravity, a check standard.
+/// Its size is given by `u`, or, where it is not known, by a correlation that it may cause.
 struct SharedSource {
   std::string name;
   std::vector<std::size_t> participants;
@@ -29,6 +30,11 @@ struct SharedSource {
   /// Whether it is one effect that moves all quantities together with the signs of `u` (gravity in three
   /// sensitivities). If not, it is p independent effects.
   bool together = false;
+  /// In place of `u`: correlation from -1 to 1 of the participants' results in `quantities`, which it moves
+  /// as each result's own correlations of these. Where these are the same for two participants, the results
+  /// of one quantity have this correlation, else at most.
+  std::optional<double> correlation = {};
+  std::vector<Eigen::Index> quantities = {};
 };
 
 enum class DriftModel {
@@ -78,7 +84,7 @@ struct TransferredResults {
 /// Covariance of all measurements: of each with itself; of a participant's repeats all but their
 /// repeatability; of different participants their shared sources.
 /// @throws KeyComparisonError a repeatability that is not above 0 or above the stated uncertainty; a shared
-/// source whose sizes do not fit
+/// source whose sizes do not fit; a correlation with which the covariance is not positive definite
 Eigen::MatrixXd measurements_covariance(const std::vector<ArtefactMeasurement>& measurements,
                                         const std::vector<SharedSource>& shared);
 

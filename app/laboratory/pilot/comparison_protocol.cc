@@ -1,9 +1,11 @@
 #include "app/laboratory/pilot/comparison_protocol.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cstdint>
+#include <set>
 #include <stdexcept>
 
 #include "app/formats/toml_reader.h"
@@ -130,6 +132,23 @@ void read_common(TomlReader& keys, ComparisonProtocol& protocol) {
       keys.add_missing("participants", "the names of two participants or more");
     if (one.uncertainty.empty()) keys.add_missing("uncertainty", "one number for each quantity");
   });
+  keys.section("");
+  keys.tables("correlation_bound", 0, [&](std::size_t) {
+    ProtocolBound& one = protocol.correlation_bounds.emplace_back();
+    keys.required_text("name", one.name);
+    keys.texts("participants", one.participants);
+    keys.number("correlation", one.correlation, {-1.0, 1.0});
+    keys.texts("quantities", one.quantities, protocol.quantities);
+    if (one.quantities.empty()) one.quantities = protocol.quantities;
+    for (const std::string& name : one.participants)
+      require_participant(keys, protocol, "participants", name);
+    if (std::set<std::string>(one.participants.begin(), one.participants.end()).size() < 2)
+      keys.add_problem_at(keys.line(), keys.name("participants"),
+                          fmt::format("{}", fmt::join(one.participants, ", ")),
+                          "the names of two participants or more");
+    if (one.correlation == 0.0)
+      keys.add_missing("correlation", "the largest correlation that is possible, from -1 to 1 and not 0");
+  });
   keys.section("link");
   keys.text("comparison", protocol.linked_comparison);
   keys.section("");
@@ -145,6 +164,15 @@ void read_common(TomlReader& keys, ComparisonProtocol& protocol) {
 }
 
 }  // namespace
+
+std::string ProtocolBound::words() const {
+  return fmt::format("{}: the correlation of {} in {} lies between 0 and {:g}.", name,
+                     fmt::join(participants, ", "), fmt::join(quantities, " "), correlation);
+}
+
+Eigen::Index ComparisonProtocol::place(const std::string& symbol) const {
+  return std::ranges::find(quantities, symbol) - quantities.begin();
+}
 
 std::vector<Eigen::Index> ComparisonProtocol::positions() const {
   std::vector<Eigen::Index> places;
@@ -257,6 +285,13 @@ date = 2026-06-01
 # participants = ["LAB2", "LAB3"]
 # uncertainty = [0, 0, 0, 1e-4, 1e-4, 1e-4, 0, 0, 0]
 # together = false              # true: one effect that moves all quantities at the same time, such as gravity
+
+# A correlation of certificates that is possible and not known: the comparison is analysed without it and with this bound.
+# [[correlation_bound]]
+# name = "gravity network"
+# participants = ["LAB2", "LAB3"]
+# correlation = 0.5             # the largest one that is possible, from -1 to 1
+# quantities = ["s_u", "s_v", "s_w"]  # default: all of the comparison
 
 # Link to an earlier comparison by participants of both.
 # [link]

@@ -35,6 +35,17 @@ struct ProtocolSource {
   bool together = false;            ///< As SharedSource::together.
 };
 
+/// A correlation of participants' results that is possible and not known. The comparison is analysed without
+/// it and with its bound.
+struct ProtocolBound {
+  std::string name;  ///< The source that they may have in common.
+  std::vector<std::string> participants;
+  double correlation = 0.0;             ///< As SharedSource::correlation.
+  std::vector<std::string> quantities;  ///< Symbols.
+
+  std::string words() const;  ///< The bound as a sentence.
+};
+
 /// A participant's degrees of equivalence of an earlier comparison.
 struct ProtocolLink {
   std::string participant;
@@ -70,9 +81,12 @@ struct ComparisonProtocol {
   std::vector<ProtocolParticipant> participants;
   std::vector<ScheduledMeasurement> schedule;
   std::vector<ProtocolSource> shared;
+  std::vector<ProtocolBound> correlation_bounds;
   std::string linked_comparison;
   std::vector<ProtocolLink> links;
 
+  /// Place of a symbol in `quantities`, which has it.
+  Eigen::Index place(const std::string& symbol) const;
   /// Position of a quantity of the protocol in a Covariance9.
   std::vector<Eigen::Index> positions() const;
   /// Number of a participant. @throws std::out_of_range for a name that is none

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "app/laboratory/certificate/laboratory_file.h"
@@ -250,22 +251,111 @@ std::vector<ArtefactMeasurement> artefact_measurements(PilotAnalysis& analysis) 
   return list;
 }
 
+/// Those of the named participants that take part.
+std::vector<std::size_t> places_of(const PilotAnalysis& analysis, const std::vector<std::string>& names) {
+  std::vector<std::size_t> places;
+  for (std::size_t i = 0; i < analysis.participants.size(); ++i)
+    if (std::ranges::find(names, analysis.participants[i]) != names.end()) places.push_back(i);
+  return places;
+}
+
 std::vector<SharedSource> shared_sources(const PilotAnalysis& analysis) {
   std::vector<SharedSource> sources;
   for (const ProtocolSource& one : analysis.protocol.shared) {
     SharedSource source{
         .name = one.name,
-        .participants = {},
+        .participants = places_of(analysis, one.participants),
         .u = VectorXd::Map(one.uncertainty.data(), static_cast<Index>(one.uncertainty.size())),
         .together = one.together};
-    for (const std::string& name : one.participants) {
-      const auto at = std::ranges::find(analysis.participants, name);
-      if (at != analysis.participants.end())
-        source.participants.push_back(static_cast<std::size_t>(at - analysis.participants.begin()));
-    }
     sources.push_back(std::move(source));
   }
   return sources;
+}
+
+/// The bounds of correlation between participants that take part.
+std::vector<SharedSource> bounds_of_correlation(PilotAnalysis& analysis) {
+  std::vector<SharedSource> bounds;
+  for (const ProtocolBound& one : analysis.protocol.correlation_bounds) {
+    SharedSource bound{.name = one.name,
+                       .participants = places_of(analysis, one.participants),
+                       .u = {},
+                       .correlation = one.correlation};
+    if (bound.participants.size() < 2) continue;
+    for (const std::string& symbol : one.quantities)
+      bound.quantities.push_back(analysis.protocol.place(symbol));
+    bounds.push_back(std::move(bound));
+    analysis.bound_statements.push_back(one.words());
+  }
+  return bounds;
+}
+
+std::string verdict_of(const PilotAnalysis& analysis, const ComparisonOutcome& outcome) {
+  if (outcome.transferred.step) return "The artefact changed: the results do not belong together.";
+  if (outcome.agree(analysis.protocol.level)) return "The participants agree within their uncertainties.";
+  std::vector<std::string> names;
+  for (const FaultyParticipant& fault : outcome.faulty) {
+    names.push_back(analysis.participants[fault.participant]);
+    if (fault.quantity)
+      names.back() +=
+          fmt::format(" (in {})", analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)]);
+  }
+  return names.empty()
+             ? "The participants do not agree within their uncertainties, and no single one is the cause."
+             : fmt::format("{} differs from the others, which agree.", fmt::join(names, ", "));
+}
+
+/// A difference whose claim is another one with the bounds; empty: it is the same.
+std::string changed_claim(const std::string& about, const std::string& unit, const std::array<double, 2>& d,
+                          const std::array<double, 2>& expanded) {
+  const auto holds = [&](std::size_t k) { return std::abs(d[k]) <= expanded[k]; };
+  if (holds(0) == holds(1)) return {};
+  const auto words = [&](std::size_t k) {
+    return fmt::format("{:.3g} with U = {:.2g} {}, {}", d[k], expanded[k], unit,
+                       holds(k) ? "agrees" : "does not agree");
+  };
+  return fmt::format("{}: without correlation {}; with the bounds {}.", about, words(0), words(1));
+}
+
+/// States what differs between the outcomes without correlation and with its bounds.
+void state_differences(PilotAnalysis& analysis) {
+  const ComparisonOutcome& bounds = *analysis.at_bounds;
+  std::vector<std::string> changed;
+  if (const std::string without = verdict_of(analysis, analysis), with = verdict_of(analysis, bounds);
+      without != with)
+    changed.push_back(fmt::format("Without correlation: {} With the bounds: {}", without, with));
+  if (analysis.reference.procedure != bounds.reference.procedure)
+    changed.push_back(
+        fmt::format("The reference value is that of procedure {} without correlation, and of {} "
+                    "with the bounds.",
+                    kReferenceProcedures.of(analysis.reference.procedure),
+                    kReferenceProcedures.of(bounds.reference.procedure)));
+  const std::vector<std::string>& names = analysis.participants;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    for (std::size_t q = 0; q < analysis.units.size(); ++q) {
+      const Index at = analysis.place(i, q);
+      changed.push_back(changed_claim(fmt::format("{}, D of {}", names[i], analysis.protocol.quantities[q]),
+                                      analysis.units[q],
+                                      {analysis.reference.differences(at), bounds.reference.differences(at)},
+                                      {analysis.reference.expanded(at), bounds.reference.expanded(at)}));
+    }
+    for (std::size_t j = i + 1; j < names.size(); ++j) {
+      const auto pair_of = [&](const ComparisonOutcome& outcome) {
+        return pair_equivalence(outcome.transferred.results, static_cast<Index>(i), static_cast<Index>(j));
+      };
+      const PairEquivalence without = pair_of(analysis), with = pair_of(bounds);
+      for (std::size_t q = 0; q < analysis.units.size(); ++q) {
+        const auto at = static_cast<Index>(q);
+        changed.push_back(
+            changed_claim(fmt::format("{} minus {}, {}", names[i], names[j], analysis.protocol.quantities[q]),
+                          analysis.units[q], {without.difference(at), with.difference(at)},
+                          {without.expanded(at), with.expanded(at)}));
+      }
+    }
+  }
+  std::erase(changed, "");
+  if (changed.empty())
+    changed.emplace_back("No statement on agreement differs between correlation 0 and the bounds.");
+  std::ranges::move(changed, std::back_inserter(analysis.bound_statements));
 }
 
 ReferenceOptions options_of(const ComparisonProtocol& protocol) {
@@ -360,6 +450,12 @@ std::string PilotAnalysis::step_words() const {
       step.test.probability);
 }
 
+std::string PilotAnalysis::verdict() const {
+  const std::string without = verdict_of(*this, *this);
+  const std::string with = at_bounds ? verdict_of(*this, *at_bounds) : without;
+  return without == with ? without : fmt::format("{} With the bounds of correlation: {}", without, with);
+}
+
 PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const ComparisonChain& chain,
                                  const CertificateDoubt& doubt) {
   chain.require_protocol();
@@ -390,14 +486,25 @@ PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const Compa
         "them would be taken for drift");
   if (protocol.drift == DriftModel::kNone && repeats == 1)
     analysis.notes.emplace_back("the pilot measured once: whether the artefact changed is not known");
-  analysis.transferred = transferred_results(measurements, shared_sources(analysis), coverage_factors, pilot,
-                                             protocol.drift, kNamingLevel);
-  const ParticipantResults& results = analysis.transferred.results;
-  analysis.consistency = consistency_of_participants(results);
-  analysis.reference = reference_value(results, options_of(protocol));
-  analysis.claims = test_claims(results, analysis.reference);
-  analysis.faulty = faulty_participants(results, kNamingLevel);
-  analysis.detectable = detectable_faults(results, kNamingLevel, kNamingPower);
+  const auto outcome_of = [&](const std::vector<SharedSource>& sources) {
+    ComparisonOutcome outcome;
+    outcome.transferred =
+        transferred_results(measurements, sources, coverage_factors, pilot, protocol.drift, kNamingLevel);
+    const ParticipantResults& results = outcome.transferred.results;
+    outcome.consistency = consistency_of_participants(results);
+    outcome.reference = reference_value(results, options_of(protocol));
+    outcome.claims = test_claims(results, outcome.reference);
+    outcome.faulty = faulty_participants(results, kNamingLevel);
+    return outcome;
+  };
+  std::vector<SharedSource> sources = shared_sources(analysis);
+  static_cast<ComparisonOutcome&>(analysis) = outcome_of(sources);
+  if (std::vector<SharedSource> bounds = bounds_of_correlation(analysis); !bounds.empty()) {
+    std::ranges::move(bounds, std::back_inserter(sources));
+    analysis.at_bounds = outcome_of(sources);
+    state_differences(analysis);
+  }
+  analysis.detectable = detectable_faults(analysis.transferred.results, kNamingLevel, kNamingPower);
   take_other_procedures(analysis);
   take_link(analysis);
   for (const ChainEntry& entry : chain.entries())

@@ -21,31 +21,48 @@ struct PilotMeasurement {
   ComparedResult result;  ///< Sensitivities per m/s2, in the response unit of the protocol.
 };
 
-/// A comparison with all its numbers.
-struct PilotAnalysis {
+/// The outcome of a comparison for one covariance of the results.
+struct ComparisonOutcome {
+  TransferredResults transferred;
+  ComparisonConsistency consistency;
+  ReferenceValue reference;
+  std::vector<ClaimTest> claims;
+  std::vector<FaultyParticipant> faulty;  ///< Participants that differ from the others, which agree.
+
+  /// All participants agree and the artefact did not break.
+  /// @param level  of the test of consistency
+  bool agree(double level) const {
+    return faulty.empty() && !transferred.step && consistency.joint.probability >= level;
+  }
+};
+
+/// A comparison with all its numbers. Those of ComparisonOutcome are without the correlations that are
+/// possible and not known.
+struct PilotAnalysis : ComparisonOutcome {
   ComparisonProtocol protocol;
   std::vector<std::string> participants;  ///< Those that take part, in the order of all vectors here.
   std::vector<PilotMeasurement> measurements;
   std::vector<std::string> units;  ///< Those of the quantities of the protocol.
-  TransferredResults transferred;
-  ComparisonConsistency consistency;
-  ReferenceValue reference;
   /// Reference values by the other procedures, for comparison; without those that are not possible.
   std::vector<ReferenceValue> others;
-  std::vector<ClaimTest> claims;
-  std::vector<FaultyParticipant> faulty;  ///< Participants that differ from the others, which agree.
   /// n p: error of one quantity with which a participant is named with the probability kNamingPower.
   Eigen::VectorXd detectable;
   std::optional<LinkedDifferences> linked;
+  /// With the bounds of correlation of the protocol, if it states any between participants that take part.
+  std::optional<ComparisonOutcome> at_bounds;
+  /// These bounds, and each statement that differs between the two outcomes, in sentences.
+  std::vector<std::string> bound_statements;
   /// Assumptions, changes, and results that do not take part, in sentences.
   std::vector<std::string> notes;
   std::vector<std::pair<std::string, std::string>> statements;  ///< Participant and its words.
   std::string chain_head;
 
-  /// All participants agree and the artefact did not break.
+  /// In all outcomes.
   bool agree() const {
-    return faulty.empty() && !transferred.step && consistency.joint.probability >= protocol.level;
+    return ComparisonOutcome::agree(protocol.level) && (!at_bounds || at_bounds->agree(protocol.level));
   }
+  /// Who agrees, in words; of both outcomes if they differ.
+  std::string verdict() const;
   std::string step_words() const;  ///< Empty without a step.
   /// Place of a participant's quantity in the vectors of results.
   Eigen::Index place(std::size_t participant, std::size_t quantity) const {

@@ -95,6 +95,7 @@ void add_statements(XmlElement& administrative, const PilotAnalysis& analysis) {
   add("abc_chain", "Record of the comparison",
       fmt::format("Protocol: SHA-256 {}. Last link of the chain of acts: {}.", analysis.protocol.sha256,
                   analysis.chain_head));
+  for (const std::string& bound : analysis.bound_statements) add("abc_note", "Bounds of correlation", bound);
   for (const std::string& note : analysis.notes) add("abc_note", "Assumption or change", note);
   for (const auto& [name, text] : analysis.statements) add("abc_participantStatement", name, text);
 }

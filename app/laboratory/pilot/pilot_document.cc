@@ -424,37 +424,25 @@ Section link_section(const PilotAnalysis& analysis) {
   return {.title = "Link to an earlier comparison", .blocks = {table}};
 }
 
-std::string verdict_of(const PilotAnalysis& analysis) {
-  if (analysis.transferred.step) return "The artefact changed: the results do not belong together.";
-  if (analysis.agree()) return "The participants agree within their uncertainties.";
-  std::vector<std::string> names;
-  for (const FaultyParticipant& fault : analysis.faulty) {
-    names.push_back(analysis.participants[fault.participant]);
-    if (fault.quantity)
-      names.back() +=
-          fmt::format(" (in {})", analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)]);
-  }
-  return names.empty()
-             ? "The participants do not agree within their uncertainties, and no single one is the cause."
-             : fmt::format("{} differs from the others, which agree.", fmt::join(names, ", "));
-}
-
 }  // namespace
 
 Document pilot_document(const PilotAnalysis& analysis, PilotDraft draft, const std::string& created_utc) {
   Document document;
   const std::string letter(kPilotDrafts.of(draft));
   document.title = "Draft " + letter + ": " + analysis.protocol.name;
-  document.subtitle = verdict_of(analysis);
+  document.subtitle = analysis.verdict();
   document.identification = analysis.protocol.name;
   document.origin = fmt::format("abcal {}, {}", program_version(), created_utc);
   document.created_utc = created_utc;
   document.page_mark = "DRAFT " + letter;
-  if (!analysis.agree()) document.cautions.push_back(verdict_of(analysis));
+  if (!analysis.agree()) document.cautions.push_back(analysis.verdict());
   document.sections = {comparison_section(analysis),  artefact_section(analysis),
                        reference_section(analysis),   claims_section(analysis),
                        equivalence_section(analysis), pairs_section(analysis)};
   if (analysis.linked) document.sections.push_back(link_section(analysis));
+  if (!analysis.bound_statements.empty())
+    document.sections.push_back(
+        {.title = "Bounds of correlation", .blocks = {BulletList{analysis.bound_statements}}});
   document.sections.push_back(results_section(analysis));
   if (draft == PilotDraft::kB)
     document.sections.push_back(
@@ -497,6 +485,12 @@ Document pilot_status(const ComparisonProtocol& protocol, const ComparisonChain&
          .blocks = {Paragraph{waiting.empty() ? std::string("All participants agree.")
                                               : fmt::format("Missing: {}.", fmt::join(waiting, ", "))}}});
   }
+  BulletList bounds;
+  for (const ProtocolBound& one : protocol.correlation_bounds) bounds.items.push_back(one.words());
+  if (!bounds.items.empty())
+    document.sections.push_back(
+        {.title = "Bounds of correlation: the analysis states what differs between 0 and these",
+         .blocks = {bounds}});
   if (const std::vector<std::string> changes = chain.changes(); !changes.empty())
     document.sections.push_back({.title = "Changes", .blocks = {BulletList{changes}}});
   return document;

@@ -80,6 +80,22 @@ Json json_of_participant(const PilotAnalysis& analysis, std::size_t i) {
   return json;
 }
 
+/// null if the protocol states no bound.
+Json json_of_bounds(const PilotAnalysis& analysis) {
+  if (!analysis.at_bounds) return nullptr;
+  const ComparisonOutcome& outcome = *analysis.at_bounds;
+  Json named = Json::array();
+  for (const FaultyParticipant& fault : outcome.faulty)
+    named.push_back(analysis.participants[fault.participant]);
+  return {{"agree", outcome.agree(analysis.protocol.level)},
+          {"named", std::move(named)},
+          {"all_quantities", json_of_test(outcome.consistency.joint)},
+          {"reference", json_of_reference(outcome.reference)},
+          {"differences", list_of_numbers(outcome.reference.differences)},
+          {"expanded_uncertainties", list_of_numbers(outcome.reference.expanded)},
+          {"statements", analysis.bound_statements}};
+}
+
 Json json_of_step(const PilotAnalysis& analysis) {
   if (!analysis.transferred.step) return nullptr;
   const ArtefactStep& step = *analysis.transferred.step;
@@ -129,6 +145,8 @@ Json pilot_json(const PilotAnalysis& analysis) {
             {"participants", Json::array()},
             {"named", Json::array()},
             {"faults", Json::array()},
+            {"correlation_bounds", json_of_bounds(analysis)},
+            {"verdict", analysis.verdict()},
             {"notes", analysis.notes},
             {"statements", Json::array()},
             {"protocol_sha256", analysis.protocol.sha256},
@@ -168,11 +186,14 @@ Json pilot_status_json(const ComparisonProtocol& protocol, const ComparisonChain
                             {"opened", !state.file.empty()},
                             {"withdrawn", state.withdrawn}});
   }
+  Json bounds = Json::array();
+  for (const ProtocolBound& one : protocol.correlation_bounds) bounds.push_back(one.words());
   return {{"schema", "abcal.pilot/1"},
           {"name", protocol.name},
           {"complete", chain.complete()},
           {"not_agreed", chain.not_agreed()},
           {"measurements", std::move(measurements)},
+          {"correlation_bounds", std::move(bounds)},
           {"changes", chain.changes()},
           {"protocol_sha256", protocol.sha256},
           {"chain", chain.head()}};

@@ -404,6 +404,62 @@ TEST_F(PilotCommand, DriftOfTwoMeasurementsIsALineAndTheReportSaysSo) {
   EXPECT_THAT(json["notes"].dump(), HasSubstr("two results cannot show a walk"));
 }
 
+TEST_F(PilotCommand, BoundOfCorrelationGivesTwoOutcomes) {
+  write_protocol("", R"([[correlation_bound]]
+name = "gravity network"
+participants = ["LAB3", "LAB4"]
+correlation = 0.5
+quantities = ["s_u", "s_v", "s_w"]
+)");
+  // LAB4 differs from LAB3 by 2.5 u in s_u: less than 2 sqrt(2) u, and more than 2 u with the correlation.
+  Made exact{.error = 1e-3}, off = exact;
+  off.values[0] += 2.5 * kU[0];
+  add_all({{1, exact}, {2, exact}, {3, exact}, {4, exact}, {5, off}, {6, exact}});
+  EXPECT_THAT(
+      pilot({"status", "c.toml"}).out,
+      HasSubstr("gravity network: the correlation of LAB3, LAB4 in s_u s_v s_w lies between 0 and 0.5."));
+  const Json json = analysis(0);
+  const Json& bounds = json["correlation_bounds"];
+  EXPECT_TRUE(bounds["agree"]);
+  EXPECT_THAT(bounds["statements"].dump(),
+              AllOf(HasSubstr("LAB3 minus LAB4, s_u: without correlation -"), HasSubstr("does not agree"),
+                    Not(HasSubstr("s_v:")), Not(HasSubstr("No statement"))));
+  // The pair's U without and with the correlation; the drift adds the same to both.
+  const double without = json["participants"][2]["pairs"][2]["expanded_uncertainties"][0];
+  EXPECT_GT(without, 5e-6);
+  EXPECT_NE(bounds["reference"]["values"], json["reference"]["values"]);
+  EXPECT_THAT(pilot({"analyse", "c.toml"}).out,
+              AllOf(HasSubstr("Bounds of correlation"), HasSubstr("LAB3 minus LAB4")));
+}
+
+TEST_F(PilotCommand, BoundOfCorrelationThatChangesNothingIsSaid) {
+  write_protocol("",
+                 "[[correlation_bound]]\nname = \"polygon\"\nparticipants = [\"LAB2\", \"LAB3\", \"LAB4\"]\n"
+                 "correlation = 0.3\n");
+  add_all();
+  EXPECT_THAT(analysis(0)["correlation_bounds"]["statements"].dump(),
+              HasSubstr("No statement on agreement differs between correlation 0 and the bounds."));
+}
+
+TEST_F(PilotCommand, BoundOfCorrelationThatIsImpossibleIsRefused) {
+  const auto refusal = [&](const std::string& participants, const std::string& correlation) {
+    write_protocol("", "[[correlation_bound]]\nname = \"polygon\"\nparticipants = [" + participants +
+                           "]\ncorrelation = " + correlation + "\n");
+    return pilot({"status", "c.toml"}).err;
+  };
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB3\"", "1.5"), AllOf(HasSubstr("correlation_bound"), HasSubstr("1.5")));
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB9\"", "0.5"), AllOf(HasSubstr("LAB9"), HasSubstr("[[participant]]")));
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB2\"", "0.5"), HasSubstr("two participants or more"));
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB3\"", "0"), HasSubstr("the largest correlation that is possible"));
+  // Negative correlations of three are possible to -1/2 only.
+  EXPECT_EQ(refusal("\"LAB2\", \"LAB3\", \"LAB4\"", "-0.6"), "");
+  add_all();
+  const ProgramResult result = pilot({"analyse", "c.toml"});
+  EXPECT_EQ(result.exit_code, 2);
+  EXPECT_THAT(result.err,
+              AllOf(HasSubstr("correlation -0.6 by polygon"), HasSubstr("not positive definite")));
+}
+
 TEST_F(PilotCommand, ParticipantThatDiffersIsNamed) {
   write_protocol("procedure = \"subset\"\n");
   Made off;
