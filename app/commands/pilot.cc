@@ -35,25 +35,9 @@ struct AddOptions {
   bool agree = false;
 };
 
-/// Why a certificate does not hold any more, from the register of this laboratory, if one is configured.
-CertificateDoubt doubt_of_register(Clock::UtcTime now) {
-  const std::string location = lab::register_location({});
-  if (location.empty()) return {};
-  auto opened = std::make_shared<lab::Register>(lab::Register::open(location, now));
-  return [opened](const std::string& number) -> std::string {
-    const std::optional<lab::CertificateStatus> status = opened->status_of(number);
-    if (!status) return {};
-    if (status->withdrawn)
-      return fmt::format("was withdrawn on {} ({})", status->withdrawn->date(), status->withdrawn->reason);
-    return status->amended_by.empty() ? std::string() : "was replaced by " + status->amended_by;
-  };
-}
-
 PilotAnalysis analysed_comparison(const std::string& file, PilotDraft draft) {
-  const ComparisonProtocol protocol = read_comparison_protocol(file);
-  const ComparisonChain chain(protocol);
-  PilotAnalysis analysis = analyse_comparison(protocol, chain, doubt_of_register(RealClock().utc_now()));
-  if (draft == PilotDraft::kB) chain.require_agreement();
+  PilotAnalysis analysis = analyse_comparison(file, lab::register_location({}), RealClock().utc_now());
+  if (draft == PilotDraft::kB) ComparisonChain(analysis.protocol).require_agreement();
   return analysis;
 }
 

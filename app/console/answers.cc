@@ -53,6 +53,14 @@ auto query_of(const HttpRequest& request) {
   return parse_form(query == std::string_view::npos ? std::string_view() : target.substr(query + 1));
 }
 
+/// The folders of protocols: that of the runs, and that of the laboratory file if there is one.
+std::vector<std::filesystem::path> folders_of_comparisons(const std::filesystem::path& runs,
+                                                          const std::filesystem::path& laboratory_file) {
+  std::vector<std::filesystem::path> folders{runs};
+  if (!laboratory_file.empty()) folders.push_back(laboratory_file.parent_path() / ".");
+  return folders;
+}
+
 }  // namespace
 
 Answers::Answers(ServerCommon& common, Logins& logins, const Session::Options& bench)
@@ -61,6 +69,8 @@ Answers::Answers(ServerCommon& common, Logins& logins, const Session::Options& b
       bench_file_(bench.bench_file),
       runs_(bench.runs),
       library_(bench.runs),
+      comparisons_(folders_of_comparisons(bench.runs, common.options.laboratory_file),
+                   common.options.register_location),
       signatures_(approval_place()),
       products_(kMostKept),
       lists_(common.io, 1),
@@ -111,7 +121,7 @@ HttpResponse Answers::answer(const Asked& asked, Slow& later) {
   if (order_list_of_runs(asked, target->words, later) || order_readings(asked, target->words, later) ||
       order_of_library(target->words, later) || order_of_measurement(target->words, later) ||
       order_check_chart(target->words, later) || order_benches(target->words, later) ||
-      order_approval(target->words, asked.visitor, later)) {
+      order_comparison(target->words, later) || order_approval(target->words, asked.visitor, later)) {
     later.head = head_of(request);
     later.turn.first = asked.visitor.may_steer;
     return {};
@@ -185,6 +195,26 @@ bool Answers::order_benches(const std::vector<std::string>& words, Slow& later) 
   later.make = [folders, links = common_.options.tile_links](const std::stop_token&) {
     return made_of_json(
         nlohmann::ordered_json{{"benches", other_benches(folders, kPatienceWithTile)}, {"links", links}});
+  };
+  return true;
+}
+
+/// /comparisons: the state of all; /comparisons/NAME/outcome and /comparisons/NAME/draft_a.html of one. False
+/// for other paths.
+bool Answers::order_comparison(const std::vector<std::string>& words, Slow& later) {
+  if (words.empty() || words[0] != "comparisons") return false;
+  later.workshop = &analyses_;
+  if (words.size() == 1) {
+    later.make = [this](const std::stop_token&) { return made_of_json(comparisons_.list()); };
+    return true;
+  }
+  const auto protocol = words.size() == 3 ? comparisons_.find(words[1]) : std::nullopt;
+  if (!protocol || (words[2] != "outcome" && words[2] != "draft_a.html")) return false;
+  later.make = [this, protocol = *protocol, is_draft = words[2] == "draft_a.html"](const std::stop_token&) {
+    const Clock::UtcTime now = common_.clock.utc_now();
+    if (!is_draft) return made_of_json(comparisons_.outcome(protocol, now));
+    return std::make_shared<const Product>(
+        Product{200, "text/html; charset=utf-8", comparisons_.draft(protocol, now), true});
   };
   return true;
 }

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "app/console/approval.h"
+#include "app/console/comparisons.h"
 #include "app/console/console_session.h"
 #include "app/console/download.h"
 #include "app/console/http_exchange.h"
@@ -48,6 +49,7 @@ class Answers {
   bool order_readings(const Asked& asked, const std::vector<std::string>& words, Slow& later);
   bool order_benches(const std::vector<std::string>& words, Slow& later);
   bool order_check_chart(const std::vector<std::string>& words, Slow& later);
+  bool order_comparison(const std::vector<std::string>& words, Slow& later);
   bool order_start_form(const Asked& asked, Slow& later);
   /// A maker of a product of these files. The product is cached for the next request.
   Workshop::Make kept(const std::string& what, std::vector<std::filesystem::path> files,
@@ -65,6 +67,7 @@ class Answers {
   Logins& logins_;
   const std::filesystem::path bench_file_, runs_;
   RunLibrary library_;
+  const Comparisons comparisons_;
   SignatureDesk signatures_;          ///< Used in the thread of `seal_` only.
   boost::asio::thread_pool seal_{1};  ///< Issues certificates, one after another.
   ProductCache products_;

@@ -2,6 +2,7 @@ import {byId, element} from '/text.js';
 import {know, said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
 import {offerBenches, showBenches} from '/benches.js';
+import {offerComparisons, showComparisons} from '/comparisons.js';
 import {withoutMissing} from '/items.js';
 import {JogForm} from '/jog.js';
 import {LiveView} from '/live.js';
@@ -272,7 +273,7 @@ function partsOfAddress() {
   }
 }
 
-const VIEWS = ['live', 'queue', 'bench', 'runs', 'benches', 'compare', 'chart', 'life', 'measurements'];
+const VIEWS = ['live', 'queue', 'bench', 'runs', 'benches', 'compare', 'comparisons', 'chart', 'life', 'measurements'];
 const SHOWN_BY = {life: 'runs', measurements: 'runs'};  // Views that are drawn in the section of another.
 function route() {
   endMaking();
@@ -290,6 +291,7 @@ function route() {
   if (name === 'measurements') rest.length ? showMeasurement(rest[0], rest[1]) : showRuns(resume);
   if (name === 'compare') showCompare(rest[0], rest[1]);
   if (name === 'benches') showBenches();
+  if (name === 'comparisons') showComparisons();
   if (name === 'life') showRuns(resume, {[rest[0]]: rest[1] ?? ''});
   if (name === 'chart') showChart(rest[0], rest[1]);
 }
@@ -303,4 +305,5 @@ readyForPaper();
 show();
 attach({receive, contact: contactMayHaveChanged});
 offerBenches();
+offerComparisons();
 route();

@@ -33,12 +33,27 @@ class ChainError : public std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
+/// How far a measurement of the schedule is.
+enum class MeasurementStage { kOpen, kCommitted, kIn, kWithdrawn };
+inline constexpr auto kMeasurementStages =
+    names<MeasurementStage>({{MeasurementStage::kOpen, "open"},
+                             {MeasurementStage::kCommitted, "committed"},
+                             {MeasurementStage::kIn, "in"},
+                             {MeasurementStage::kWithdrawn, "withdrawn"}});
+
 /// The state of one measurement of the schedule.
 struct MeasurementState {
   std::string sha256;  ///< Empty: nothing is committed.
   std::string file;    ///< Empty: not opened.
   std::string committed_utc;
   std::string withdrawn;  ///< Reason; empty: it is not.
+
+  MeasurementStage stage() const {
+    return !withdrawn.empty() ? MeasurementStage::kWithdrawn
+           : sha256.empty()   ? MeasurementStage::kOpen
+           : file.empty()     ? MeasurementStage::kCommitted
+                              : MeasurementStage::kIn;
+  }
 };
 
 /// The record of a comparison: a file of JSON lines next to its protocol, each line chained to the one

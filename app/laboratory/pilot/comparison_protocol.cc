@@ -165,9 +165,10 @@ void read_common(TomlReader& keys, ComparisonProtocol& protocol) {
 
 }  // namespace
 
-std::string ProtocolBound::words() const {
-  return fmt::format("{}: the correlation of {} in {} lies between 0 and {:g}.", name,
-                     fmt::join(participants, ", "), fmt::join(quantities, " "), correlation);
+Message ProtocolBound::words() const {
+  return {"{source}: the correlation of {participants} in {quantities} lies between 0 and {bound:g}.", name,
+          fmt::format("{}", fmt::join(participants, ", ")), fmt::format("{}", fmt::join(quantities, " ")),
+          correlation};
 }
 
 Eigen::Index ComparisonProtocol::place(const std::string& symbol) const {
@@ -207,9 +208,9 @@ ComparisonProtocol parse_comparison_protocol(std::string_view text, const std::s
       text, source, "a protocol of a comparison; `abcal pilot init FILE` writes an example", problems);
   if (!(root.empty() && !problems.empty())) {
     TomlReader keys(root, {}, text);
-    std::string schema = "abcal.comparison/1";
+    std::string schema(kComparisonSchema);
     keys.section("");
-    keys.text("schema", schema, {"abcal.comparison/1"});
+    keys.text("schema", schema, {schema});
     read_comparison(keys, protocol);
     read_participants(keys, protocol);
     keys.section("comparison");

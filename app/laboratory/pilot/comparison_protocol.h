@@ -9,6 +9,7 @@
 
 #include "app/laboratory/pilot/artefact_drift.h"
 #include "app/laboratory/pilot/key_comparison.h"
+#include "drivers/text/message.h"
 #include "drivers/text/names.h"
 
 namespace abcal {
@@ -43,7 +44,7 @@ struct ProtocolBound {
   double correlation = 0.0;             ///< As SharedSource::correlation.
   std::vector<std::string> quantities;  ///< Symbols.
 
-  std::string words() const;  ///< The bound as a sentence.
+  Message words() const;  ///< The bound as a sentence.
 };
 
 /// A participant's degrees of equivalence of an earlier comparison.
@@ -61,7 +62,9 @@ inline constexpr auto kReferenceProcedures =
                                {ReferenceProcedure::kSubsetPerQuantity, "subset-per-quantity"},
                                {ReferenceProcedure::kRandomEffects, "random-effects"}});
 
-/// The protocol of a comparison (schema abcal.comparison/1), as agreed before it begins. Sensitivities are
+inline constexpr std::string_view kComparisonSchema = "abcal.comparison/1";
+
+/// The protocol of a comparison (kComparisonSchema), as agreed before it begins. Sensitivities are
 /// per m/s2 everywhere, angles in degrees, offsets in the response unit.
 struct ComparisonProtocol {
   std::string path, sha256;

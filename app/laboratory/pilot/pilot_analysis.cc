@@ -9,8 +9,10 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <memory>
 
 #include "app/laboratory/certificate/laboratory_file.h"
+#include "app/laboratory/register/register.h"
 #include "protocol/plan/response_unit.h"
 #include "protocol/record/sha256.h"
 
@@ -289,19 +291,21 @@ std::vector<SharedSource> bounds_of_correlation(PilotAnalysis& analysis) {
   return bounds;
 }
 
-std::string verdict_of(const PilotAnalysis& analysis, const ComparisonOutcome& outcome) {
-  if (outcome.transferred.step) return "The artefact changed: the results do not belong together.";
-  if (outcome.agree(analysis.protocol.level)) return "The participants agree within their uncertainties.";
+Message verdict_of(const PilotAnalysis& analysis, const ComparisonOutcome& outcome) {
+  if (outcome.transferred.step) return Message("The artefact changed: the results do not belong together.");
+  if (outcome.agree(analysis.protocol.level))
+    return Message("The participants agree within their uncertainties.");
   std::vector<std::string> names;
   for (const FaultyParticipant& fault : outcome.faulty) {
     names.push_back(analysis.participants[fault.participant]);
     if (fault.quantity)
       names.back() +=
-          fmt::format(" (in {})", analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)]);
+          fmt::format(" ({})", analysis.protocol.quantities[static_cast<std::size_t>(*fault.quantity)]);
   }
-  return names.empty()
-             ? "The participants do not agree within their uncertainties, and no single one is the cause."
-             : fmt::format("{} differs from the others, which agree.", fmt::join(names, ", "));
+  if (names.empty())
+    return Message(
+        "The participants do not agree within their uncertainties, and no single one is the cause.");
+  return {"{participants} differs from the others, which agree.", fmt::format("{}", fmt::join(names, ", "))};
 }
 
 /// A difference whose claim is another one with the bounds; empty: it is the same.
@@ -320,9 +324,8 @@ std::string changed_claim(const std::string& about, const std::string& unit, con
 void state_differences(PilotAnalysis& analysis) {
   const ComparisonOutcome& bounds = *analysis.at_bounds;
   std::vector<std::string> changed;
-  if (const std::string without = verdict_of(analysis, analysis), with = verdict_of(analysis, bounds);
-      without != with)
-    changed.push_back(fmt::format("Without correlation: {} With the bounds: {}", without, with));
+  if (verdict_of(analysis, analysis) != verdict_of(analysis, bounds))
+    changed.push_back(analysis.verdict().english());
   if (analysis.reference.procedure != bounds.reference.procedure)
     changed.push_back(
         fmt::format("The reference value is that of procedure {} without correlation, and of {} "
@@ -450,10 +453,29 @@ std::string PilotAnalysis::step_words() const {
       step.test.probability);
 }
 
-std::string PilotAnalysis::verdict() const {
-  const std::string without = verdict_of(*this, *this);
-  const std::string with = at_bounds ? verdict_of(*this, *at_bounds) : without;
-  return without == with ? without : fmt::format("{} With the bounds of correlation: {}", without, with);
+Message PilotAnalysis::verdict() const {
+  const Message without = verdict_of(*this, *this);
+  const Message with = at_bounds ? verdict_of(*this, *at_bounds) : without;
+  if (without == with) return without;
+  return {"Without correlation: {without} With the bounds of correlation: {with}", without, with};
+}
+
+CertificateDoubt doubt_of_register(const std::string& location, Clock::UtcTime now) {
+  if (location.empty()) return {};
+  auto opened = std::make_shared<lab::Register>(lab::Register::open(location, now));
+  return [opened](const std::string& number) -> std::string {
+    const std::optional<lab::CertificateStatus> status = opened->status_of(number);
+    if (!status) return {};
+    if (status->withdrawn)
+      return fmt::format("was withdrawn on {} ({})", status->withdrawn->date(), status->withdrawn->reason);
+    return status->amended_by.empty() ? std::string() : "was replaced by " + status->amended_by;
+  };
+}
+
+PilotAnalysis analyse_comparison(const std::filesystem::path& protocol_file,
+                                 const std::string& register_location, Clock::UtcTime now) {
+  const ComparisonProtocol protocol = read_comparison_protocol(protocol_file);
+  return analyse_comparison(protocol, ComparisonChain(protocol), doubt_of_register(register_location, now));
 }
 
 PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const ComparisonChain& chain,

@@ -11,6 +11,8 @@
 #include "app/laboratory/pilot/comparison_chain.h"
 #include "app/laboratory/pilot/comparison_protocol.h"
 #include "app/laboratory/pilot/key_comparison.h"
+#include "drivers/instrument/clock.h"
+#include "drivers/text/message.h"
 
 namespace abcal {
 
@@ -62,7 +64,7 @@ struct PilotAnalysis : ComparisonOutcome {
     return ComparisonOutcome::agree(protocol.level) && (!at_bounds || at_bounds->agree(protocol.level));
   }
   /// Who agrees, in words; of both outcomes if they differ.
-  std::string verdict() const;
+  Message verdict() const;
   std::string step_words() const;  ///< Empty without a step.
   /// Place of a participant's quantity in the vectors of results.
   Eigen::Index place(std::size_t participant, std::size_t quantity) const {
@@ -87,10 +89,19 @@ using CertificateDoubt = std::function<std::string(const std::string& number)>;
 ComparedResult read_pilot_result(const ComparisonProtocol& protocol, const std::string& participant,
                                  const std::filesystem::path& file);
 
+/// The certificates that the register of this laboratory has as withdrawn or replaced.
+/// @param location  of the register; empty: nothing is known
+CertificateDoubt doubt_of_register(const std::string& location, Clock::UtcTime now);
+
 /// The whole analysis.
 /// @throws ChainError results that are missing, not opened, or of another SHA-256; KeyComparisonError with
 /// all problems of the results, fewer than three participants that take part, and as reference_value()
 PilotAnalysis analyse_comparison(const ComparisonProtocol& protocol, const ComparisonChain& chain,
                                  const CertificateDoubt& doubt = {});
+
+/// As analyse_comparison(), of a protocol file and its chain, with the doubts of the register.
+/// @throws as read_comparison_protocol() and analyse_comparison()
+PilotAnalysis analyse_comparison(const std::filesystem::path& protocol_file,
+                                 const std::string& register_location, Clock::UtcTime now);
 
 }  // namespace abcal

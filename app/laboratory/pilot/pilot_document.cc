@@ -430,12 +430,12 @@ Document pilot_document(const PilotAnalysis& analysis, PilotDraft draft, const s
   Document document;
   const std::string letter(kPilotDrafts.of(draft));
   document.title = "Draft " + letter + ": " + analysis.protocol.name;
-  document.subtitle = analysis.verdict();
+  document.subtitle = analysis.verdict().english();
   document.identification = analysis.protocol.name;
   document.origin = fmt::format("abcal {}, {}", program_version(), created_utc);
   document.created_utc = created_utc;
   document.page_mark = "DRAFT " + letter;
-  if (!analysis.agree()) document.cautions.push_back(analysis.verdict());
+  if (!analysis.agree()) document.cautions.push_back(document.subtitle);
   document.sections = {comparison_section(analysis),  artefact_section(analysis),
                        reference_section(analysis),   claims_section(analysis),
                        equivalence_section(analysis), pairs_section(analysis)};
@@ -469,11 +469,11 @@ Document pilot_status(const ComparisonProtocol& protocol, const ComparisonChain&
       "", {{"no.", CellKind::kNumber}, {"participant"}, {"planned"}, {"state"}, {"SHA-256"}}, {}};
   for (std::size_t k = 0; k < chain.states().size(); ++k) {
     const MeasurementState& state = chain.states()[k];
-    const std::string words = !state.withdrawn.empty() ? "withdrawn: " + state.withdrawn
-                              : state.sha256.empty()   ? "open"
-                              : state.file.empty()
-                                  ? "committed " + state.committed_utc.substr(0, 10) + ", file missing"
-                                  : "in since " + state.committed_utc.substr(0, 10);
+    const std::string since = state.committed_utc.substr(0, 10);
+    std::string words = "open";
+    if (state.stage() == MeasurementStage::kCommitted) words = "committed " + since + ", file missing";
+    if (state.stage() == MeasurementStage::kIn) words = "in since " + since;
+    if (state.stage() == MeasurementStage::kWithdrawn) words = "withdrawn: " + state.withdrawn;
     table.rows.push_back({std::to_string(k + 1), protocol.schedule[k].participant, protocol.schedule[k].date,
                           words, state.sha256.substr(0, kShownDigitsOfHash)});
   }

@@ -2,6 +2,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/laboratory/pilot/pilot_document.h"
+#include "protocol/record/message_json.h"
 
 namespace abcal {
 namespace {
@@ -146,7 +147,7 @@ Json pilot_json(const PilotAnalysis& analysis) {
             {"named", Json::array()},
             {"faults", Json::array()},
             {"correlation_bounds", json_of_bounds(analysis)},
-            {"verdict", analysis.verdict()},
+            {"verdict", analysis.verdict().english()},
             {"notes", analysis.notes},
             {"statements", Json::array()},
             {"protocol_sha256", analysis.protocol.sha256},
@@ -184,17 +185,24 @@ Json pilot_status_json(const ComparisonProtocol& protocol, const ComparisonChain
                             {"sha256", state.sha256},
                             {"committed_utc", state.committed_utc},
                             {"opened", !state.file.empty()},
+                            {"state", kMeasurementStages.of(state.stage())},
                             {"withdrawn", state.withdrawn}});
   }
   Json bounds = Json::array();
-  for (const ProtocolBound& one : protocol.correlation_bounds) bounds.push_back(one.words());
+  std::vector<Message> words;
+  for (const ProtocolBound& one : protocol.correlation_bounds) {
+    words.push_back(one.words());
+    bounds.push_back(words.back().english());
+  }
   return {{"schema", "abcal.pilot/1"},
           {"name", protocol.name},
+          {"pilot", protocol.pilot},
           {"complete", chain.complete()},
           {"not_agreed", chain.not_agreed()},
           {"measurements", std::move(measurements)},
           {"correlation_bounds", std::move(bounds)},
           {"changes", chain.changes()},
+          {"messages", messages_json(words)},
           {"protocol_sha256", protocol.sha256},
           {"chain", chain.head()}};
 }

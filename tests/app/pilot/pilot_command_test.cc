@@ -469,7 +469,7 @@ TEST_F(PilotCommand, ParticipantThatDiffersIsNamed) {
   EXPECT_EQ(json["named"], Json::array({"LAB3"}));
   EXPECT_EQ(json["participants"][2]["contributes"][0], false);
   EXPECT_THAT(pilot({"analyse", "c.toml"}).out,
-              AllOf(HasSubstr("LAB3 (in phi_"), HasSubstr(") differs from the others, which agree.")));
+              AllOf(HasSubstr("LAB3 (phi_"), HasSubstr(") differs from the others, which agree.")));
 }
 
 TEST_F(PilotCommand, ProtocolIsReadOnceAndItsChangesAreStated) {
