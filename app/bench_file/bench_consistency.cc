@@ -263,7 +263,7 @@ void check_description(TomlReader& reader, StageConfig& stage) {
     if (!names.empty() && std::ranges::find(names, axis->axis) == names.end())
       reader.add_problem(std::string(section) + ".axis", "\"" + axis->axis + "\"",
                          "one of " + joined(names) + ", as the description names them");
-    if (axis->speed_deg_per_s && description.set_speed.empty())
+    if (axis->speed_deg_per_s && !description.sets_speed())
       reader.add_problem(std::string(section) + ".speed_deg_per_s",
                          fmt::format("{:g}", *axis->speed_deg_per_s),
                          "none: the description has no [[set_speed]]");

@@ -146,15 +146,24 @@ class DescriptionReader {
                               : section != "move"    ? ""
                               : out_.by_increments   ? "increment"
                                                      : "angle";
-    refuse_numbers("send", one.send, known);
+    refuse_numbers("send", one.send, known, section == "move" && out_.usual_speed_deg_per_s);
     refuse_numbers("read_back", one.read_back, "");
   }
-  void refuse_numbers(const char* key, const CommandForm& form, std::string_view known) {
-    for (const char* field : {"angle", "increment", "speed"})
-      if (form.has(field) && field != known)
-        reader_.refuse(key, fmt::format("{{{}}} in \"{}\"", field, form.text()),
-                       known.empty() ? "no number: none is known here"
-                                     : fmt::format("{{{}}}, the number that is known here", known));
+  void refuse_numbers(const char* key, const CommandForm& form, std::string_view known,
+                      bool is_speed_known = false) {
+    for (const char* field : {"angle", "angles", "increment", "speed"}) {
+      if (!form.has(field) || (known == "angle" && field == std::string_view("angles")) || field == known ||
+          (is_speed_known && field == std::string_view("speed")))
+        continue;
+      const bool is_speed_of_move = !known.empty() && field == std::string_view("speed");
+      reader_.refuse(
+          key, fmt::format("{{{}}} in \"{}\"", field, form.text()),
+          known.empty()
+              ? "no number: none is known here"
+              : fmt::format(
+                    "{{{}}}, the number that is known here{}", known,
+                    is_speed_of_move ? ", or [speed] deg_per_s, the speed unless one is stated" : ""));
+    }
   }
 
   /// Refuses places of axes where no axis is in question.
@@ -202,6 +211,8 @@ class DescriptionReader {
     out_.ignored = reply_forms("ignore");
     reader_.number("gap_s", out_.gap_s, {0.0, 5.0});
     reader_.number("reply_s", out_.reply_s, {0.01, 60.0});
+    out_.last_line = reply_form("last_line", false);
+    refuse_places("last_line", out_.last_line);
     reader_.text("address", out_.address);
   }
 
@@ -234,6 +245,12 @@ class DescriptionReader {
   }
 
   void read_motion() {
+    if (reader_.gives("speed")) {
+      reader_.section("speed");
+      reader_.number("deg_per_s", out_.usual_speed_deg_per_s, {1e-6, 1e5});
+      if (!out_.usual_speed_deg_per_s) out_.speed = question("speed");
+      reader_.section("");
+    }
     out_.prepare = commands("prepare");
     out_.home = commands("home");
     out_.move = commands("move");
@@ -243,9 +260,11 @@ class DescriptionReader {
     const auto sends = [](const std::vector<DescribedExchange>& all, std::string_view name) {
       return std::ranges::any_of(all, [&](const DescribedExchange& each) { return each.send.has(name); });
     };
-    if (!sends(out_.move, field))
+    if (!sends(out_.move, field) && !sends(out_.move, "angles"))
       reader_.refuse("move", "no command with {" + std::string(field) + "}",
                      "[[move]] with send = \"... {" + std::string(field) + ":.4f}\"");
+    if (out_.usual_speed_deg_per_s && (!sends(out_.move, "speed") || !out_.set_speed.empty()))
+      reader_.refuse("speed", "deg_per_s", "a [[move]] with {speed}, and no [[set_speed]]");
     if (!out_.set_speed.empty() && !sends(out_.set_speed, "speed"))
       reader_.refuse("set_speed", "no command with {speed}", "[[set_speed]] with send = \"... {speed:.3f}\"");
     if (reader_.gives("scale")) {
@@ -253,16 +272,19 @@ class DescriptionReader {
       reader_.boolean("in_bench_file", out_.scale_in_bench);
       if (!out_.scale_in_bench) out_.scale.push_back(question("units_per_turn"));
     }
-    if (reader_.gives("speed")) {
-      reader_.section("speed");
-      out_.speed = question("speed");
-    }
   }
 
   void read_state() {
     reader_.section("position");
     out_.position = question("angle");
+    const auto sends_angles =
+        std::ranges::any_of(out_.move, [](const DescribedExchange& each) { return each.send.has("angles"); });
+    if (sends_angles && !out_.position.expect.has_places())
+      reader_.refuse("expect", "\"" + out_.position.expect.text() + "\", with {angles} in [[move]]",
+                     "{before ,} and {after ,}: the angles of the other axes are read in the same reply");
     reader_.section("status");
+    reader_.boolean("of_all_axes", out_.status_of_all);
+    reader_.number("window_deg", out_.window_deg, {1e-6, 1.0});
     out_.status.send = command_form("send", true);
     refuse_numbers("send", out_.status.send, "");
     out_.moving = reply_form("moving", true);
@@ -280,6 +302,9 @@ class DescriptionReader {
     });
     reader_.section("referenced");
     reader_.boolean("always", out_.always_referenced);
+    reader_.boolean("by_hand", out_.referenced_by_hand);
+    if (out_.referenced_by_hand && (out_.always_referenced || !out_.home.empty()))
+      reader_.refuse("by_hand", "true, and always or [[home]]", "one of them");
     if (out_.always_referenced) {
       if (!out_.home.empty()) reader_.refuse("always", "true, and [[home]]", "one of both");
     } else {
@@ -293,8 +318,10 @@ class DescriptionReader {
         if ((key[0] == 'y' ? out_.is_referenced : out_.is_not_referenced).empty())
           reader_.refuse(key, "nothing", "forms of the replies, as [\"...\"]; or always = true");
       reader_.section("");
-      if (out_.home.empty())
-        reader_.refuse("home", "nothing", "[[home]], or [referenced] always = true for absolute encoders");
+      if (out_.home.empty() && !out_.referenced_by_hand)
+        reader_.refuse("home", "nothing",
+                       "[[home]], or [referenced] always = true for absolute encoders, or by_hand = true if "
+                       "a person finds the reference at the controller");
     }
     read_travel();
   }
@@ -336,6 +363,23 @@ class DescriptionReader {
     return out;
   }
 
+  /// The bytes of a text in which a character up to U+00FF stands for the byte with its number.
+  std::string bytes_of(const std::string& text) {
+    std::string bytes;
+    for (std::size_t at = 0; at < text.size(); ++at) {
+      const auto byte = static_cast<unsigned char>(text[at]);
+      if (byte > 0xC3U) {
+        reader_.refuse("raw", "a character above U+00FF", "bytes, as \"\\u0085\" for 0x85");
+        return bytes;
+      }
+      bytes +=
+          byte < 0x80U
+              ? text[at]
+              : static_cast<char>(((byte & 0x03U) << 6U) | (static_cast<unsigned char>(text[++at]) & 0x3FU));
+    }
+    return bytes;
+  }
+
   void read_halt() {
     reader_.section("halt");
     const CommandForm send_form = command_form("send", false), raw_form = command_form("raw", false);
@@ -365,7 +409,7 @@ class DescriptionReader {
                      "[halt] with send = \"...\", a command that stops all axes, or raw = \"...\", bytes "
                      "without the end of a command: a stage that cannot be halted is not driven");
     }
-    out_.halt = raw.empty() ? send + command_end_ : raw;
+    out_.halt = raw.empty() ? send + command_end_ : bytes_of(raw);
     out_.command_end = command_end_;
     if (out_.gap_s > 0.0 && raw.find("{axis}") != std::string::npos)
       reader_.refuse("raw", "a stop of each axis, with [transport] gap_s",
@@ -461,7 +505,7 @@ class DescriptionReader {
     });
     if (first_move != out_.move.end()) check("move", first_move->send);
     check("position", out_.position.send, out_.position.expect);
-    check("status", out_.status.send, out_.moving);
+    if (!out_.status_of_all) check("status", out_.status.send, out_.moving);
     if (out_.moving.has_places() != out_.stopped.has_places())
       reader_.refuse("status", "{before} in one of moving and stopped",
                      "{before} and {after} in both, or in none");
@@ -492,6 +536,15 @@ class DescriptionReader {
 
   /// Replies that could be taken for others.
   void check_replies() {
+    for (const PlacedForm& answer : answers_) {
+      if (out_.last_line.empty()) break;
+      const PlacedForm last{out_.last_line, answer.line, answer.where};
+      if (const auto both = reply_of_both(last.form, answer.form))
+        reader_.add_problem_at(answer.line, answer.where,
+                               fmt::format("\"{}\", which can be the last line of a reply too: \"{}\"",
+                                           answer.form.text(), *both),
+                               "two forms that no reply fits both");
+    }
     for (const PlacedForm& refusal : refusals_) {
       for (const PlacedForm& acknowledgement : acknowledgements_)
         check_pair(refusal, acknowledgement, "an acknowledgement");

@@ -85,7 +85,7 @@ BenchConfig bench_of_trial(const TryOptions& options, const StageDescription& de
   stage.z.axis = names.size() > 1 ? names[1] : "";
   state_scale(options, description, stage);
   for (StageAxisConfig* axis : {&stage.x, &stage.z}) {
-    if (!description.set_speed.empty()) axis->speed_deg_per_s = options.speed_deg_per_s;
+    if (description.sets_speed()) axis->speed_deg_per_s = options.speed_deg_per_s;
     if (!description.wraps) continue;
     axis->wraps_deg = 360.0;
     axis->travel_min_deg = -180.0 - 3.0 * options.move_deg;

@@ -118,16 +118,17 @@ class DescribedStream final : public wire::ByteStream {
 ///
 /// A late reply must not be taken for the answer to the next command. Therefore, once a reply is missing or
 /// is none, nothing else is sent before the identity has been answered, whose form is unlike that of any
-/// other reply; replies before that belong to earlier commands. All calls require that the line is locked.
+/// other reply; replies before that belong to earlier commands. Of a reply with several lines the first
+/// counts, and the last is awaited. All calls require that the line is locked.
 class InOrder {
  public:
   /// @param identity_request  with its end
-  InOrder(wire::HaltableLine& line, const DescribedExchange& identity, std::string identity_request,
-          Clock::Duration patience)
+  InOrder(wire::HaltableLine& line, const StageDescription& description, std::string identity_request)
       : line_(line),
-        identity_(identity.expect),
+        description_(description),
+        identity_(description.identify[0].expect),
         identity_request_(std::move(identity_request)),
-        patience_(patience) {}
+        patience_(from_seconds(description.reply_s)) {}
 
   /// A reply to an earlier command may still arrive.
   void expect_stray_reply() { in_step_ = false; }
@@ -153,6 +154,7 @@ class InOrder {
     std::string heard;
     while (const auto reply = take(deadline)) {
       if (identity_.match(*reply)) {
+        if (!takes_rest_of(*reply, deadline)) break;
         in_step_ = true;
         identity_reply_ = *reply;
         return {};
@@ -172,8 +174,8 @@ class InOrder {
     const Clock::Instant deadline = line_.deadline_after(patience_);
     // A late answer to an earlier identity query is skipped.
     auto reply = take(deadline);
-    while (reply && identity_.match(*reply)) reply = take(deadline);
-    if (!reply || line_.halts() != halts) in_step_ = false;
+    while (reply && identity_.match(*reply) && takes_rest_of(*reply, deadline)) reply = take(deadline);
+    if (!reply || !takes_rest_of(*reply, deadline) || line_.halts() != halts) in_step_ = false;
     return reply;
   }
 
@@ -187,7 +189,24 @@ class InOrder {
     return std::nullopt;
   }
 
+  /// Takes the lines behind the first of a reply; false: the last has not come in time.
+  bool takes_rest_of(std::string reply, Clock::Instant deadline) {
+    const auto is_last = [&](const std::string& line) {
+      return description_.last_line.empty() || description_.last_line.match(line) ||
+             std::ranges::any_of(description_.errors, [&](const DescribedFault& error) {
+               return error.expect.match(line).has_value();
+             });
+    };
+    while (!is_last(reply)) {
+      auto line = take(deadline);
+      if (!line) return false;
+      reply = *std::move(line);
+    }
+    return true;
+  }
+
   wire::HaltableLine& line_;
+  const StageDescription& description_;
   const ReplyForm& identity_;
   const std::string identity_request_;
   const Clock::Duration patience_;
@@ -209,9 +228,7 @@ class DescribedController final : public wire::LineController {
         description_(*settings.description),
         of_axes_{description_.for_axis(settings.axis_names[0]),
                  description_.for_axis(settings.axis_names[1])},
-        replies_(line(), description_.identify[0],
-                 command_of(description_.identify[0].send, std::nullopt, {}),
-                 from_seconds(description_.reply_s)) {}
+        replies_(line(), description_, command_of(description_.identify[0].send, std::nullopt, {})) {}
 
  private:
   // ---- Commands and replies
@@ -430,9 +447,11 @@ class DescribedController final : public wire::LineController {
       if (look > 0 && !description_.prepare.empty()) clock_.sleep_until(clock_.now() + kBetweenLooks);
       const std::string now = status(axis);
       const double turned = std::remainder(encoder_angle(axis).deg() - before, 360.0);
-      if (moves_or_fault(now, axis) || std::abs(turned) > kAtRestDeg) {
+      // A state of all axes may be the motion of the other one.
+      const bool is_other = description_.status_of_all && motion_begun_;
+      if ((!is_other && moves_or_fault(now, axis)) || std::abs(turned) > kAtRestDeg) {
         line().send(stop_bytes(settings_));
-        replies_.expect_stray_reply();
+        forget_motion();
         throw failure(
             Fault::kRefused,
             fmt::format("axis {} moved by {:.3f} deg on [[prepare]], before any move was commanded, and "
@@ -482,6 +501,8 @@ class DescribedController final : public wire::LineController {
       info.speed_deg_per_s = *speed;
     } else if (description_.speed) {
       info.speed_deg_per_s = number(ask(*of(axis).speed, axis), "speed") / speed_on_line(axis, 1.0);
+    } else if (description_.usual_speed_deg_per_s) {
+      info.speed_deg_per_s = *description_.usual_speed_deg_per_s;
     }
     info.referenced = is_referenced(axis);
     return info;
@@ -563,7 +584,7 @@ class DescribedController final : public wire::LineController {
 
   void apply_speed(StageAxis axis) {
     const auto& speed = settings_.speed_deg_per_s[index(axis)];
-    if (!speed || speed_set_[index(axis)]) return;
+    if (!speed || speed_set_[index(axis)] || description_.usual_speed_deg_per_s) return;
     if (description_.set_speed.empty())
       throw failure(Fault::kRefused, "the description has no [[set_speed]], so its speed cannot be set");
     execute_all(description_.set_speed, axis, {{"speed", speed_on_line(axis, *speed)}});
@@ -572,7 +593,8 @@ class DescribedController final : public wire::LineController {
 
   void set_speed(StageAxis axis, std::optional<double> deg_per_s) override {
     require_here(axis);
-    if (!description_.speed && !settings_.speed_deg_per_s[index(axis)] && !usual_speed_[index(axis)])
+    if (!description_.speed && !description_.usual_speed_deg_per_s &&
+        !settings_.speed_deg_per_s[index(axis)] && !usual_speed_[index(axis)])
       throw failure(Fault::kRefused,
                     "the description has no [speed], so the present speed is not known; "
                     "required: [speed], or speed_deg_per_s in the bench file");
@@ -584,8 +606,15 @@ class DescribedController final : public wire::LineController {
 
   void home(StageAxis axis) override {
     require_here(axis);
+    if (description_.referenced_by_hand && !is_referenced(axis))
+      throw failure(Fault::kNotReady,
+                    fmt::format("axis {} has no reference, and the description {} has no search of it; "
+                                "required: the search at the controller, with a person at the stage",
+                                to_string(axis), description_.source));
     ensure_prepared(axis);
     apply_speed(axis);
+    motion_begun_ = true;
+    if (!description_.home.empty()) target_[index(axis)].reset();
     execute_all(description_.home, axis, {});
   }
 
@@ -606,10 +635,17 @@ class DescribedController final : public wire::LineController {
       throw failure(Fault::kNotReady, fmt::format("axis {} has no reference; home it", to_string(axis)));
     apply_speed(axis);
     Numbers numbers{{"angle", target.deg() * units_per_degree(axis)}};
+    if (description_.usual_speed_deg_per_s)
+      numbers["speed"] = speed_on_line(
+          axis, settings_.speed_deg_per_s[index(axis)].value_or(*description_.usual_speed_deg_per_s));
+    add_targets_of_all(axis, target, numbers);
     if (description_.by_increments)
       numbers["increment"] =
           std::remainder(target.deg() - encoder_angle(axis).deg(), 360.0) * units_per_degree(axis);
+    motion_begun_ = true;
+    target_[index(axis)].reset();  // Whether a move that fails has begun is not known.
     execute_all(description_.move, axis, numbers);
+    target_[index(axis)] = target;
   }
 
   MotionState motion_state(StageAxis axis) override {
@@ -623,7 +659,37 @@ class DescribedController final : public wire::LineController {
         throw;
       }
     }
-    return moves(now, axis) ? MotionState::kMoving : MotionState::kStopped;
+    return moves(now, axis) || has_not_begun(axis) ? MotionState::kMoving : MotionState::kStopped;
+  }
+
+  /// Whether the axis is farther from its target than a status of rest allows.
+  bool has_not_begun(StageAxis axis) {
+    const auto& target = target_[index(axis)];
+    if (!description_.window_deg || !target) return false;
+    double left_deg = encoder_angle(axis).deg() - target->deg();
+    if (description_.wraps) left_deg = std::remainder(left_deg, 360.0);
+    return std::abs(left_deg) > *description_.window_deg;
+  }
+
+  /// The targets of all axes of the controller, for a command that needs them: an axis that is not to move
+  /// keeps its last target, or its angle if it has none.
+  void add_targets_of_all(StageAxis axis, Angle target, Numbers& numbers) {
+    if (std::ranges::none_of(description_.move, [](const auto& each) { return each.send.has("angles"); }))
+      return;
+    const std::string reply =
+        ask(command_of(description_.position.send, axis, {}), {&of(axis).position.expect});
+    for (std::size_t k = 0; k < description_.axis_names.size(); ++k) {
+      const std::string& name = description_.axis_names[k];
+      double& number_of_axis = numbers[fmt::format("angle{}", k + 1)];
+      const auto values = description_.for_axis(name).position.expect.match(reply);
+      number_of_axis = number(values.value_or(FieldValues{}), "angle");
+      for (const StageAxis each : kStageAxes) {
+        if (settings_.axis_names[index(each)] != name) continue;
+        if (each == axis) number_of_axis = target.deg() * units_per_degree(axis);
+        if (each != axis && target_[index(each)])
+          number_of_axis = target_[index(each)]->deg() * units_per_degree(each);
+      }
+    }
   }
 
   Angle encoder_angle(StageAxis axis) override {
@@ -634,7 +700,11 @@ class DescribedController final : public wire::LineController {
 
   // ---- Halt
 
-  void forget_motion() override { replies_.expect_stray_reply(); }
+  void forget_motion() override {
+    replies_.expect_stray_reply();
+    target_ = {};
+    motion_begun_ = false;
+  }
 
   Clock::Duration reply_deadline() const override {
     return from_seconds(description_.reply_s + 2.0 * description_.gap_s);
@@ -698,6 +768,8 @@ class DescribedController final : public wire::LineController {
   InOrder replies_;
   std::array<std::optional<double>, 2> units_per_degree_{}, usual_speed_{};
   std::array<bool, 2> prepared_{}, speed_set_{};
+  std::array<std::optional<Angle>, 2> target_{};  ///< For the last move, until a halt.
+  bool motion_begun_ = false;                     ///< Since the last halt.
 };
 
 void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {

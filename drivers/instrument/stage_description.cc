@@ -65,7 +65,7 @@ constexpr const char* kReplyFields =
     "{maker} or {text} for a text, {serial:digits}, {word}, {number}, {digits}, {digits2}, {0..39}, {hex}, "
     "{hex4}, {hex4 none 0002}, {hex4 some 0002}, {decimal}, {decimal none bits 0 3}, {decimal some bits 0 "
     "3}, "
-    "{one of A B}, {before ,} or {after ,}";
+    "{number below 0.01}, {number not below 0.01}, {one of A B}, {before ,} or {after ,}";
 
 /// A word in braces with a number behind it: "digits2".
 std::optional<std::uint32_t> count_behind(std::string_view field, std::string_view word) {
@@ -91,6 +91,23 @@ Part bits_part(std::string_view field, const std::vector<std::string_view>& word
   return part;
 }
 
+/// {number below 0.01} and {number not below 0.01}: the limit is a power of ten, so that the digits decide.
+std::optional<Part> limit_part(std::string_view field, const std::vector<std::string_view>& words) {
+  if (words.size() < 2 || words[0] != "number") return std::nullopt;
+  const bool is_not = words[1] == "not";
+  const std::string_view limit = words.back();
+  const std::string_view zeros = limit.starts_with("0.") && limit.ends_with('1')
+                                     ? limit.substr(2, limit.size() - 3)
+                                     : std::string_view("none");
+  const bool is_good = words.size() == (is_not ? 4U : 3U) && words[is_not ? 2 : 1] == "below" &&
+                       zeros.size() < 9 && zeros.find_first_not_of('0') == std::string_view::npos;
+  if (!is_good)
+    refuse_field(field, "{number below 0.01} or {number not below 0.01}, with 0.1, 0.01, 0.001 and so on");
+  return Part{.kind = is_not ? Part::Kind::kNotBelow : Part::Kind::kBelow,
+              .text = std::string(limit),
+              .least = static_cast<std::uint32_t>(zeros.size() + 1)};
+}
+
 /// {before ,} and {after ,}: the axes in front of this one, and behind it.
 std::optional<Part> place_part(std::string_view field, const std::vector<std::string_view>& words) {
   if (words.empty() || (words[0] != "before" && words[0] != "after")) return std::nullopt;
@@ -105,7 +122,8 @@ std::optional<Part> place_part(std::string_view field, const std::vector<std::st
 }
 
 Part reply_part(std::string_view field) {
-  if (const std::size_t colon = field.find(':'); colon != std::string_view::npos) {
+  if (const std::size_t colon = field.find(':');
+      colon != std::string_view::npos && !field.starts_with("one of ")) {
     const std::string_view name = field.substr(0, colon);
     if (!is_one_of(name, text_fields()) || name == "text")
       refuse_field(field, "{serial:digits}, or likewise {model:...}, {firmware:...}, {maker:...}");
@@ -123,6 +141,7 @@ Part reply_part(std::string_view field) {
     return {.kind = Part::Kind::kDigits, .least = *digits};
   const std::vector<std::string_view> words = pieces::words(field);
   if (const auto part = place_part(field, words)) return *part;
+  if (const auto part = limit_part(field, words)) return *part;
   if (!words.empty()) {
     if (words[0] == "decimal") return bits_part(field, words);
     if (words.size() > 2 && words[0] == "one" && words[1] == "of") {
@@ -180,6 +199,13 @@ bool is_decimal_number(std::string_view text) {
   return value && std::isfinite(*value);
 }
 
+/// A number as it is sent; no minus before zero.
+std::string written(double number, int decimals) {
+  std::string text = fmt::format("{:.{}f}", number, decimals);
+  const bool is_zero = text.find_first_not_of("-0.") == std::string::npos;
+  return is_zero && text.starts_with('-') ? text.substr(1) : text;
+}
+
 bool fits_bits(const Part& part, std::string_view digits) {
   const auto value = hex_number(digits);
   if (!value) return false;
@@ -205,7 +231,7 @@ bool fits_decimal_bits(const Part& part, std::string_view text) {
 std::vector<ReplyPart> parts_before(const Part& part) {
   if (part.text.empty()) return {pattern::run(kStateLetters, part.least, part.least)};
   // An item may have blanks within, unless they are between the items.
-  std::string first = word_bytes(), other = word_bytes() + " ";
+  std::string first = part.choices.empty() ? word_bytes() : part.choices[0], other = first + " ";
   for (std::string* bytes : {&first, &other}) std::erase(*bytes, part.text[0]);
   std::vector<ReplyPart> parts;
   for (std::uint32_t n = 0; n < part.least; ++n) {
@@ -217,8 +243,15 @@ std::vector<ReplyPart> parts_before(const Part& part) {
   return parts;
 }
 
+/// Whether the text has only characters of other axes' parts, and of what is between them.
+bool has_bytes_of_items(const Part& part, std::string_view text) {
+  return part.choices.empty() ||
+         text.find_first_not_of(part.choices[0] + part.text + " ") == std::string_view::npos;
+}
+
 /// Whether the text is the parts of `part.least` axes in front.
 bool are_items_before(const Part& part, std::string_view text) {
+  if (!has_bytes_of_items(part, text)) return false;
   if (part.text.empty())
     return text.size() == part.least && text.find_first_not_of(kStateLetters) == std::string_view::npos;
   for (std::uint32_t n = 0; n < part.least; ++n) {
@@ -242,6 +275,11 @@ bool is_one(const Part& part, std::string_view text) {
       return !text.empty() && all_of(" ");
     case Part::Kind::kNumber:
       return is_decimal_number(text);
+    case Part::Kind::kBelow:
+    case Part::Kind::kNotBelow:
+      return is_decimal_number(text) && text.find_first_of("eE") == std::string_view::npos &&
+             (std::abs(*pieces::number<double>(pieces::without_plus(text))) <
+              *pieces::number<double>(part.text)) == (part.kind == Part::Kind::kBelow);
     case Part::Kind::kRange: {
       const auto value = pieces::number<std::uint32_t>(text);
       return value && *value >= part.least && *value <= part.most && (text.size() == 1 || text[0] != '0');
@@ -265,6 +303,7 @@ bool is_one(const Part& part, std::string_view text) {
     case Part::Kind::kAfter: {
       if (part.text.empty()) return all_of(kStateLetters);
       const std::string_view rest = text.substr(std::min(text.find_first_not_of(' '), text.size()));
+      if (!has_bytes_of_items(part, text)) return false;
       return text.empty() || (part.text == " " ? text[0] == ' ' : rest.starts_with(part.text));
     }
   }
@@ -318,6 +357,35 @@ void add_hex_alternatives(const Part& part, std::uint32_t count, std::vector<std
   }
 }
 
+/// A decimal number, so that "4.02.004" is none.
+std::vector<std::vector<ReplyPart>> number_alternatives() {
+  const ReplyPart sign = pattern::run("+-", 0, 1), point = pattern::run(".", 0, 1),
+                  digits = pattern::run(pattern::kDecimalDigits),
+                  more_digits = pattern::run(pattern::kDecimalDigits, 0);
+  std::vector<std::vector<ReplyPart>> all{{sign, digits, point, more_digits},
+                                          {sign, pattern::literal("."), digits}};
+  for (std::size_t k = 0; k < 2; ++k) {
+    all.push_back(all[k]);
+    all.back().insert(all.back().end(), {pattern::run("eE", 1, 1), sign, digits});
+  }
+  return all;
+}
+
+/// A number on one side of a limit, by its digits: the first that is not zero has its place.
+std::vector<std::vector<ReplyPart>> limit_alternatives(const Part& part) {
+  const ReplyPart sign = pattern::run("+-", 0, 1), point = pattern::literal("."),
+                  zeros = pattern::run("0", 0), digits = pattern::run(pattern::kDecimalDigits, 0),
+                  first = pattern::run("123456789", 1, 1);
+  const auto zeros_behind_point = [](std::uint32_t count) { return pattern::run("0", count, count); };
+  if (part.kind == Part::Kind::kBelow)
+    return {{sign, pattern::run("0"), pattern::run(".", 0, 1), zeros},
+            {sign, zeros, point, zeros_behind_point(part.least), digits}};
+  std::vector<std::vector<ReplyPart>> all{{sign, zeros, first, digits, pattern::run(".", 0, 1), digits}};
+  for (std::uint32_t count = 0; count < part.least; ++count)
+    all.push_back({sign, zeros, point, zeros_behind_point(count), first, digits});
+  return all;
+}
+
 /// The part as parts of a ReplyPattern: one sequence or several.
 std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
   switch (part.kind) {
@@ -326,7 +394,10 @@ std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
     case Part::Kind::kBlanks:
       return {{pattern::run(" ")}};
     case Part::Kind::kNumber:
-      return {{pattern::run(kNumberBytes)}};
+      return number_alternatives();
+    case Part::Kind::kBelow:
+    case Part::Kind::kNotBelow:
+      return limit_alternatives(part);
     case Part::Kind::kRange:
       return {{pattern::number(part.least, part.most)}};
     case Part::Kind::kDigits:
@@ -358,10 +429,13 @@ std::vector<std::vector<ReplyPart>> alternatives_of(const Part& part) {
                                                  : pattern::no_bit_of(part.mask)}};
     case Part::Kind::kBefore:
       return {parts_before(part)};
-    case Part::Kind::kAfter:
+    case Part::Kind::kAfter: {
       if (part.text.empty()) return {{pattern::run(kStateLetters, 0)}};
-      if (part.text == " ") return {{}, {pattern::run(" "), pattern::text()}};
-      return {{}, {pattern::spaces(), pattern::literal(part.text), pattern::text()}};
+      const ReplyPart items =
+          part.choices.empty() ? pattern::text() : pattern::run(part.choices[0] + part.text + " ", 0);
+      if (part.text == " ") return {{}, {pattern::run(" "), items}};
+      return {{}, {pattern::spaces(), pattern::literal(part.text), items}};
+    }
   }
   return {};
 }
@@ -525,10 +599,16 @@ ReplyForm::ReplyForm(std::string text) : text_(std::move(text)) {
           "{before} and {after} that are no pair; required: one of each, in this order, both with the same "
           "character between the axes, as {before ,}{angle}{after ,}");
   }
+  // The other axes have numbers where this one has.
+  for (std::size_t k = 0; k + 2 < parts_.size(); ++k)
+    if (parts_[k].kind == Part::Kind::kBefore && !parts_[k].text.empty() &&
+        parts_[k + 1].kind == Part::Kind::kNumber && parts_[k + 2].kind == Part::Kind::kAfter)
+      parts_[k].choices = parts_[k + 2].choices = {std::string(kNumberBytes)};
   for (std::size_t k = 1; k < parts_.size(); ++k) {
     const auto is_open = [](const Part& part) {
       return part.kind == Part::Kind::kText || part.kind == Part::Kind::kWord ||
-             part.kind == Part::Kind::kNumber;
+             part.kind == Part::Kind::kNumber || part.kind == Part::Kind::kBelow ||
+             part.kind == Part::Kind::kNotBelow;
     };
     const auto swallows = [&](const Part& part, const Part& next) {
       const bool takes_all = part.kind == Part::Kind::kText || part.kind == Part::Kind::kWord;
@@ -623,7 +703,11 @@ std::string ReplyForm::reply(const FieldValues& values) const {
         out += ' ';
         break;
       case Part::Kind::kNumber:
+      case Part::Kind::kBelow:
         out += '0';
+        break;
+      case Part::Kind::kNotBelow:
+        out += part.text;
         break;
       case Part::Kind::kRange:
         out += std::to_string(part.least);
@@ -752,8 +836,9 @@ CommandForm::CommandForm(std::string text) : text_(std::move(text)) {
     }
     const std::string_view spec =
         colon == std::string_view::npos ? std::string_view() : field.substr(colon + 1);
-    const bool is_number = name == "angle" || name == "increment" || name == "speed";
-    if (!is_number) refuse_field(field, "{axis}, {address}, {angle:.4f}, {increment:.4f} or {speed:.3f}");
+    const bool is_number = name == "angle" || name == "angles" || name == "increment" || name == "speed";
+    if (!is_number)
+      refuse_field(field, "{axis}, {address}, {angle:.4f}, {angles:.4f}, {increment:.4f} or {speed:.3f}");
     const auto decimals = spec.size() == 3 && spec[0] == '.' && spec[2] == 'f'
                               ? pieces::number<int>(spec.substr(1, 1))
                               : std::nullopt;
@@ -787,10 +872,11 @@ std::string CommandForm::with(const FieldValues& texts,
       out += part.text;
     } else if (const auto text = texts.find(part.field); text != texts.end()) {
       out += text->second;
+    } else if (part.field == "angles") {
+      for (int n = 1; numbers.contains(fmt::format("angle{}", n)); ++n)
+        out += (n > 1 ? " " : "") + written(numbers.at(fmt::format("angle{}", n)), part.decimals);
     } else if (const auto number = numbers.find(part.field); number != numbers.end()) {
-      const std::string written = fmt::format("{:.{}f}", number->second, part.decimals);
-      const bool is_zero = written.find_first_not_of("-0.") == std::string::npos;
-      out += is_zero && written.starts_with('-') ? written.substr(1) : written;
+      out += written(number->second, part.decimals);
     }
   }
   return out;
@@ -813,7 +899,11 @@ std::optional<FieldValues> CommandForm::match(
       return false;
     }
     for (std::size_t length = rest.size(); length > 0; --length) {
-      if (!is_decimal_number(rest.substr(0, length)) || !self(self, at + 1, rest.substr(length))) continue;
+      const std::string_view found = rest.substr(0, length);
+      const bool is_number = part.field == "angles"
+                                 ? std::ranges::all_of(pieces::words(found), is_decimal_number)
+                                 : is_decimal_number(found);
+      if (!is_number || found.ends_with(' ') || !self(self, at + 1, rest.substr(length))) continue;
       values.insert_or_assign(part.field, std::string(rest.substr(0, length)));
       return true;
     }

@@ -47,25 +47,29 @@ class ReplyForm {
   /// One part. For a value that is used the field is its name; otherwise it is empty.
   struct Part {
     enum class Kind : std::uint8_t {
-      kLiteral,  ///< This text.
-      kBlanks,   ///< One blank or more.
-      kNumber,   ///< A decimal number with sign, point and exponent.
-      kRange,    ///< A whole number from `least` to `most`.
-      kDigits,   ///< `least` decimal digits; 0: one or more.
-      kHex,      ///< `least` hexadecimal digits (0: one to eight) under `mask`.
-      kWord,     ///< One character or more, no blank.
-      kText,     ///< Anything, also nothing.
-      kOneOf,    ///< One of `choices`.
-      kBits,     ///< A whole decimal number, perhaps negative, under `mask`.
-      kBefore,   ///< The parts of `least` other axes, ended by `text`; empty: a character each.
-      kAfter,    ///< The parts of other axes, begun with `text`; also none.
+      kLiteral,   ///< This text.
+      kBlanks,    ///< One blank or more.
+      kNumber,    ///< A decimal number with sign, point and exponent.
+      kRange,     ///< A whole number from `least` to `most`.
+      kDigits,    ///< `least` decimal digits; 0: one or more.
+      kHex,       ///< `least` hexadecimal digits (0: one to eight) under `mask`.
+      kWord,      ///< One character or more, no blank.
+      kText,      ///< Anything, also nothing.
+      kOneOf,     ///< One of `choices`.
+      kBits,      ///< A whole decimal number, perhaps negative, under `mask`.
+      kBelow,     ///< A decimal number without an exponent, smaller in size than `text`, 10 to the power
+                  ///< -`least`.
+      kNotBelow,  ///< Such a number that is not.
+      kBefore,    ///< The parts of `least` other axes, ended by `text`; empty: a character each.
+      kAfter,     ///< The parts of other axes, begun with `text`; also none.
     };
     enum class Bits : std::uint8_t { kFree, kNoneSet, kSomeSet };
 
     Kind kind = Kind::kLiteral;
-    std::string text{};  ///< For a literal, or between the parts of axes.
+    std::string text{};  ///< For a literal, a limit, or between the parts of axes.
     std::string field{};
-    std::vector<std::string> choices{};
+    std::vector<std::string>
+        choices{};  ///< For kBefore and kAfter the characters of numbers, if they are numbers.
     std::uint32_t least = 0, most = 0;
     std::uint32_t mask = 0;
     Bits bits = Bits::kFree;
@@ -89,7 +93,8 @@ class CommandForm {
   const std::string& text() const { return text_; }
   bool empty() const { return text_.empty(); }
   bool has(std::string_view field) const;
-  /// Half of the last decimal place with which a number is sent.
+  /// Half of the last decimal place with which a number is sent. {angles} is sent as the numbers "angle1" to
+  /// "angleN", with blanks between them.
   double half_place(std::string_view field) const;
 
   /// The command with these values.
@@ -150,6 +155,7 @@ struct StageDescription {
   std::vector<ReplyForm> ignored;  ///< Lines that answer nothing.
   double gap_s = 0.0;              ///< Least time from a command or a reply to the next command.
   double reply_s = 1.0;            ///< Longest time of a reply.
+  ReplyForm last_line;             ///< Ends each reply, whose first line counts; empty: replies are one line.
   std::string address;             ///< Replaces {address} if the bench file states none.
 
   // The axes.
@@ -160,11 +166,17 @@ struct StageDescription {
   bool wraps = false;                   ///< It counts modulo 360 and is sent angles, or
   bool by_increments = false;           ///< increments below half a turn.
   bool always_referenced = false;
+  bool referenced_by_hand = false;  ///< A person finds the reference at the controller.
+  /// The speed unless one is stated, where each move carries its speed.
+  std::optional<double> usual_speed_deg_per_s;
 
   std::vector<DescribedExchange> identify, prepare, home, move, set_speed, travel, scale;
   DescribedExchange position, status;
   std::optional<DescribedExchange> speed, referenced;
   ReplyForm moving, stopped;
+  bool status_of_all = false;  ///< The status is that of the controller: it moves while any axis does.
+  /// Farther from the target of a move a status of rest is that before the motion.
+  std::optional<double> window_deg;
   std::vector<DescribedFault> status_faults;
   std::vector<ReplyForm> is_referenced, is_not_referenced;
   std::optional<double> lower_deg, upper_deg;
@@ -192,6 +204,8 @@ struct StageDescription {
   std::vector<std::string> stops(const std::array<std::string, 2>& names,
                                  const std::string& address_of_stage) const;
   bool accepts_model(std::string_view model) const;
+  /// Whether the speed of a motion can be chosen.
+  bool sets_speed() const { return !set_speed.empty() || usual_speed_deg_per_s; }
 };
 
 }  // namespace abcal

@@ -22,6 +22,8 @@ constexpr std::size_t kLongestDescribedCommand = 1024;
 constexpr Clock::Duration kShortestSearch = std::chrono::milliseconds(200);
 /// Units of a degree where the scale is asked for.
 constexpr double kUnitsOfADegree = 1000.0;
+/// A target that is sent again differs by less than this.
+constexpr double kSameTargetDeg = 1e-3;
 
 double field_number(const FieldValues& values, std::string_view field) {
   const auto found = values.find(field);
@@ -55,22 +57,15 @@ class DescribedFirmware::Controller final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override {
     now_ = std::max(now_, now);
     // A halt without an end works at once, also in the middle of a command.
-    if (!description_->halt.ends_with(description_->command_end) && !halt_.empty() &&
-        bytes.find(halt_) != std::string_view::npos) {
-      halt_all();
-      line_.clear();
-      return;
-    }
-    for (const char c : bytes) {
-      line_ += c;
-      if (line_.ends_with(description_->command_end)) {
-        if (description_->echoes) replies_.push(line_, now_);
-        line_.resize(line_.size() - description_->command_end.size());
-        take(std::string(pieces::trimmed(std::exchange(line_, {}))));
-      } else if (line_.size() > kLongestDescribedCommand) {
+    if (!description_->halt.ends_with(description_->command_end) && !halt_.empty()) {
+      for (std::size_t at = bytes.find(halt_); at != std::string_view::npos; at = bytes.find(halt_)) {
+        read(bytes.substr(0, at));
+        halt_all();
         line_.clear();
+        bytes.remove_prefix(at + halt_.size());
       }
     }
+    read(bytes);
   }
   std::string transmit(Clock::Instant now) override {
     now_ = std::max(now_, now);
@@ -95,9 +90,23 @@ class DescribedFirmware::Controller final : public Firmware {
     std::optional<Clock::Instant> searches_until;
   };
 
+  void read(std::string_view bytes) {
+    for (const char c : bytes) {
+      line_ += c;
+      if (line_.ends_with(description_->command_end)) {
+        if (description_->echoes) replies_.push(line_, now_);
+        line_.resize(line_.size() - description_->command_end.size());
+        take(std::string(pieces::trimmed(std::exchange(line_, {}))));
+      } else if (line_.size() > kLongestDescribedCommand) {
+        line_.clear();
+      }
+    }
+  }
+
   void power_on() {
     for (std::size_t k = 0; k < 2; ++k) {
-      axes_[k] = {description_->prepare.empty(), description_->always_referenced, std::nullopt};
+      axes_[k] = {description_->prepare.empty(),
+                  description_->always_referenced || description_->referenced_by_hand, std::nullopt};
       MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
       limits.speed_deg_per_s = bench_->stage().axis(kStageAxes[k]).speed_deg_per_s;
       bench_->set_motion_limits(kStageAxes[k], limits);
@@ -177,7 +186,12 @@ class DescribedFirmware::Controller final : public Firmware {
 
   void answer(const std::string& reply) {
     const Clock::Instant due = now_ + settings_.reply_delay;
-    replies_.push(reply + "\r\n", due);
+    const ReplyForm& last = description_->last_line;
+    const bool is_error = std::ranges::any_of(description_->errors, [&](const DescribedFault& error) {
+      return error.expect.match(reply).has_value();
+    });
+    const bool has_more = !last.empty() && !last.match(reply) && !is_error;
+    replies_.push(reply + "\r\n" + (has_more ? last.reply({}) + "\r\n" : ""), due);
     traffic_ = due;
   }
 
@@ -236,6 +250,7 @@ class DescribedFirmware::Controller final : public Firmware {
       return true;
     }
     if (const auto values = description_->status.send.match(command, texts_)) {
+      if (description_->status_of_all) return answer(state_of_all(command)), true;
       answer(reply_to(description_->stopped, axis_of(*values),
                       [&](std::size_t k, bool is_item) { return state_of(k, command, is_item); }));
       return true;
@@ -282,6 +297,42 @@ class DescribedFirmware::Controller final : public Firmware {
     const auto [known, is_new] = common_.try_emplace({&whole, &reference_of(k)});
     if (is_new) known->second = common_reply(motion.pattern(), reference.pattern());
     return known->second.value_or(reply);
+  }
+
+  /// The reply of a controller that reports one state for all axes.
+  std::string state_of_all(const std::string& command) {
+    bool moves = false, referenced = true;
+    for (std::size_t k = 0; k < 2; ++k) {
+      if (settings_.axis_names[k].empty()) continue;
+      moves = moves || bench_->moving(kStageAxes[k], now_) || axes_[k].searches_until;
+      referenced = referenced && axes_[k].referenced;
+    }
+    const ReplyForm& state = moves ? description_->moving : description_->stopped;
+    const bool asks_position = description_->position.send.match(command, texts_).has_value();
+    const bool asks_reference =
+        description_->referenced && description_->referenced->send.match(command, texts_);
+    // At rest without a reference the reply says so.
+    const ReplyForm& said =
+        asks_reference && !moves && !referenced ? description_->is_not_referenced.front() : state;
+    if (asks_position)
+      return common_reply(said.pattern(), position_now().pattern()).value_or(state.reply({}));
+    return said.reply({});
+  }
+
+  /// The form of the reply with the angles, which are those of now.
+  ReplyForm position_now() const {
+    const ReplyForm& form = description_->position.expect;
+    std::string text = form.text();
+    if (!form.has_places()) {
+      const std::size_t at = text.find("{angle}");
+      return ReplyForm(
+          text.replace(at, std::string_view("{angle}").size(), numbers_of(axis_of({})).at("angle")));
+    }
+    const std::size_t begin = text.find("{before"), end = text.find('}', text.find("{after")) + 1;
+    const ReplyForm angles(text.substr(begin, end - begin));
+    const std::string written = reply_to(
+        angles, axis_of({}), [&](std::size_t k, bool) { return angles.item().reply(numbers_of(k)); });
+    return ReplyForm(text.replace(begin, end - begin, written));
   }
 
   std::string number(double value) const { return fmt::format("{:.6f}", value); }
@@ -344,6 +395,7 @@ class DescribedFirmware::Controller final : public Firmware {
   }
 
   bool move(std::size_t k, const DescribedExchange& exchange, const FieldValues& values) {
+    if (exchange.send.has("angles")) return move_all(exchange, values);
     const bool has_angle = exchange.send.has("angle"), has_increment = exchange.send.has("increment");
     if (!has_angle && !has_increment) return true;
     if (!is_ready(k, exchange)) return false;
@@ -357,7 +409,33 @@ class DescribedFirmware::Controller final : public Firmware {
     const AxisTruth& truth = bench_->stage().axis(axis);
     if (!description_->wraps && !(protocol >= truth.travel_min && protocol <= truth.travel_max))
       return refuse(exchange, Fault::kOutOfTravel), false;
+    if (exchange.send.has("speed") && !set_speed(k, exchange, values)) return false;
     bench_->move(axis, protocol, now_);
+    return true;
+  }
+
+  /// A move with the targets of all axes: those whose target is new begin to move.
+  bool move_all(const DescribedExchange& exchange, const FieldValues& values) {
+    const std::vector<std::string_view> words = pieces::words(values.at("angles"));
+    const auto& names = description_->axis_names;
+    if (words.size() != names.size()) return refuse(exchange, Fault::kRefused), false;
+    std::array<std::optional<Angle>, 2> targets;
+    for (std::size_t k = 0; k < 2; ++k) {
+      const auto place = std::ranges::find(names, settings_.axis_names[k]);
+      if (place == names.end()) continue;
+      const double wanted = field_number(
+          {{"angle", std::string(words[static_cast<std::size_t>(place - names.begin())])}}, "angle");
+      const Angle target = protocol_angle(k, wanted / units(k));
+      if (std::abs(target.deg() - bench_->target(kStageAxes[k], now_).deg()) < kSameTargetDeg) continue;
+      const AxisTruth& truth = bench_->stage().axis(kStageAxes[k]);
+      if (!is_ready(k, exchange)) return false;
+      if (!axes_[k].referenced) return refuse(exchange, Fault::kNotReady), false;
+      if (!(target >= truth.travel_min && target <= truth.travel_max))
+        return refuse(exchange, Fault::kOutOfTravel), false;
+      targets[k] = target;
+    }
+    for (std::size_t k = 0; k < 2; ++k)
+      if (targets[k]) bench_->move(kStageAxes[k], *targets[k], now_);
     return true;
   }
 

@@ -44,6 +44,47 @@ TEST(ReplyFormTest, BitsOfANumberAreSetOrNot) {
   EXPECT_FALSE(common_reply(some.pattern(), none.pattern()));
 }
 
+TEST(ReplyFormTest, ANumberIsBelowALimitOrNot) {
+  const ReplyForm below("{number below 0.01}"), not_below("{number not below 0.01}");
+  for (const char* number : {"0", "-0.0", "+0.00", "0.", "0.0099999", "-.009", "00.001"}) {
+    EXPECT_TRUE(below.match(number)) << number;
+    EXPECT_TRUE(wire::matches(below.pattern(), number)) << number;
+    EXPECT_FALSE(not_below.match(number)) << number;
+    EXPECT_FALSE(wire::matches(not_below.pattern(), number)) << number;
+  }
+  for (const char* number : {"0.01", "-0.010", ".1", "0.99", "1", "-20.5", "007.000"}) {
+    EXPECT_FALSE(below.match(number)) << number;
+    EXPECT_FALSE(wire::matches(below.pattern(), number)) << number;
+    EXPECT_TRUE(not_below.match(number)) << number;
+    EXPECT_TRUE(wire::matches(not_below.pattern(), number)) << number;
+  }
+  // An exponent moves the digits: such a number is neither, so that it is never rest.
+  for (const char* number : {"1e-3", "1E9", "nan", "", "."}) {
+    EXPECT_FALSE(below.match(number)) << number;
+    EXPECT_FALSE(not_below.match(number)) << number;
+  }
+  EXPECT_FALSE(common_reply(below.pattern(), not_below.pattern()));
+  EXPECT_TRUE(common_reply(ReplyForm("{number below 0.1}").pattern(), not_below.pattern()));
+}
+
+TEST(ReplyFormTest, AVersionIsNoNumber) {
+  const ReplyForm version("%{digits}.{digits}.{digits}"), number("%{angle}");
+  EXPECT_FALSE(common_reply(version.pattern(), number.pattern()));
+  for (const char* reply : {"%1", "%-1.5", "%+.5e-3", "%5.", "%1E5"}) {
+    EXPECT_TRUE(number.match(reply)) << reply;
+    EXPECT_TRUE(wire::matches(number.pattern(), reply)) << reply;
+  }
+}
+
+TEST(ReplyFormTest, OtherAxesHaveNumbersWhereThisOneHas) {
+  const ReplyForm all("{before blank}{angle}{after blank}");
+  EXPECT_EQ(all.at(2).match("1.5 -2 3e1")->at("angle"), "-2");
+  EXPECT_FALSE(all.at(2).match("Corvus 1 462"));
+  EXPECT_FALSE(all.at(1).match("1 Corvus"));
+  for (const std::size_t place : {1U, 2U, 3U})
+    EXPECT_FALSE(common_reply(all.at(place).pattern(), ReplyForm("Corvus {model}").pattern())) << place;
+}
+
 TEST(ReplyFormTest, AWordIsOneOfAList) {
   const ReplyForm rest("{1..31}TS{hex4}{one of 32 33 3C}"), motion("{1..31}TS{hex4}{one of 1E 28}");
   EXPECT_TRUE(rest.match("1TS00003C"));
@@ -186,6 +227,14 @@ TEST(CommandFormTest, WritesItsNumbersAndReadsThem) {
   EXPECT_FALSE(form.match("GO X 7.5", {{"axis", {"O", "I"}}}));
   EXPECT_FALSE(form.match("GO O", {{"axis", {"O", "I"}}}));
   EXPECT_DOUBLE_EQ(form.half_place("angle"), 0.0005);
+}
+
+TEST(CommandFormTest, HasTheTargetsOfAllAxes) {
+  const CommandForm form("{angles:.2f} move");
+  EXPECT_EQ(form.with({}, {{"angle1", 1.0}, {"angle2", -0.001}, {"angle3", -7.126}}), "1.00 0.00 -7.13 move");
+  EXPECT_EQ(form.match("1.00 0.00 -7.13 move", {})->at("angles"), "1.00 0.00 -7.13");
+  EXPECT_FALSE(form.match("1.00 x move", {}));
+  EXPECT_FALSE(form.match("move", {}));
 }
 
 TEST(LineFilterTest, RemovesEchoesAndLinesThatAnswerNothing) {
