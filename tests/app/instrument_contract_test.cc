@@ -32,15 +32,17 @@ Bench simulated_bench(const std::string& stage, const std::string& accelerometer
                                 "contract"));
 }
 
-StageCase stage_case(const std::string& name, const std::string& section) {
-  return {name, [section] {
+StageCase stage_case(const std::string& name, const std::string& section, bool has_one_state = false) {
+  return {name,
+          [section] {
             const auto bench =
                 std::make_shared<Bench>(simulated_bench(section, "simulated", "rate_hz = 100.0\n"));
             return StageBench{
                 {bench, bench->clock.get()}, {bench, bench->stage.get()}, [bench](StageAxis axis) {
                   return bench->world->commanded_angle(axis, bench->clock->now());
                 }};
-          }};
+          },
+          has_one_state};
 }
 
 AccelerometerCase accelerometer_case(const std::string& driver, const std::string& lines) {
@@ -55,7 +57,10 @@ AccelerometerCase accelerometer_case(const std::string& driver, const std::strin
 
 std::vector<StageCase> stage_cases() {
   std::vector<StageCase> cases{stage_case("simulated", "driver = \"simulated\"\n")};
-  for (const StageVariant& stage : stage_variants()) cases.push_back(stage_case(stage.name, stage.section()));
+  for (const StageVariant& stage : stage_variants()) {
+    const auto description = stage.settings().description;
+    cases.push_back(stage_case(stage.name, stage.section(), description && description->status_of_all));
+  }
   return cases;
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <fmt/format.h>
+
 #include <array>
 #include <filesystem>
 #include <memory>
@@ -11,6 +13,7 @@
 
 #include "app/bench_file/bench_config.h"
 #include "app/bench_file/stage_description_file.h"
+#include "drivers/instrument/mounted_stage.h"
 #include "drivers/registry.h"
 #include "tests/support/project_paths.h"
 
@@ -23,6 +26,7 @@ struct StageVariant {
   std::array<std::string, 2> axis_names = StageSettings{}.axis_names;
   std::string description{};                 ///< The name of a shipped one; empty: no described stage.
   std::optional<double> units_per_degree{};  ///< Where the description leaves them to the bench file.
+  bool wraps = false;                        ///< It counts modulo 360.
 
   StageSettings settings() const {
     StageSettings settings;
@@ -39,6 +43,12 @@ struct StageVariant {
     config.stage.z.axis = axis_names[1];
     config.stage.x.units_per_degree = config.stage.z.units_per_degree = units_per_degree;
     config.stage.description = description;
+    for (StageAxisConfig* axis : {&config.stage.x, &config.stage.z}) {
+      if (!wraps) continue;
+      axis->wraps_deg = 360.0;
+      axis->travel_min_deg = -kTravelDeg;
+      axis->travel_max_deg = kTravelDeg;
+    }
     return config;
   }
   /// The lines of [stage] and of its axes in a bench file, but for the port.
@@ -47,14 +57,20 @@ struct StageVariant {
     if (!description.empty()) lines += "description = \"" + description + "\"\n";
     for (std::size_t k = 0; k < 2; ++k) {
       lines += std::string(k == 0 ? "[stage.x]" : "[stage.z]") + "\naxis = \"" + axis_names[k] + "\"\n";
+      if (wraps) lines += fmt::format("travel_min_deg = -{0}\ntravel_max_deg = {0}\n", kTravelDeg);
       if (units_per_degree) lines += "units_per_degree = " + std::to_string(*units_per_degree) + "\n";
     }
     return lines;
   }
   std::unique_ptr<RotationStage> make(std::vector<std::unique_ptr<wire::ByteStream>> streams,
                                       Clock& clock) const {
-    return driver->make(std::move(streams), clock, settings());
+    auto stage = driver->make(std::move(streams), clock, settings());
+    if (!wraps) return stage;
+    // The turns are counted above the driver.
+    const AxisMounting mounting{Angle{}, +1, Angle::degrees(-kTravelDeg), Angle::degrees(kTravelDeg), true};
+    return std::make_unique<MountedStage>(std::move(stage), std::array{mounting, mounting});
   }
+  static constexpr double kTravelDeg = 360.0;
 };
 
 /// Every stage driver of the registry, those that make daisy chains also with a chain, and every shipped
@@ -70,6 +86,7 @@ inline const std::vector<StageVariant>& stage_variants() {
       variant.description = shipped.name;
       const StageDescription description = stage_description_of(variant.config().stage);
       if (description.scale_in_bench) variant.units_per_degree = 1000.0;
+      variant.wraps = description.wraps;
       if (description.axis_names.size() >= 2)
         variant.axis_names = {description.axis_names[0], description.axis_names[1]};
       variants.push_back(std::move(variant));

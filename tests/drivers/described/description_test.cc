@@ -194,7 +194,7 @@ TEST(StageDescriptionTest, ABenchWithoutItOrWithABadOneIsRefused) {
   EXPECT_THAT(words(replaced(kBench, "description = \"zaber_ascii\"\n", "")),
               HasSubstr("[stage] description"));
   EXPECT_THAT(words(replaced(kBench, "\"zaber_ascii\"", "\"zaber_asci\"")),
-              AllOf(HasSubstr("zaber_asci"), HasSubstr("\"zaber_ascii\"")));
+              AllOf(HasSubstr("zaber_asci"), HasSubstr("one of \"acutrol3000\"")));
   EXPECT_THAT(words(replaced(kBench, "\"described\"", "\"zaber_ascii\"")),
               HasSubstr("driver = \"described\""));
 }

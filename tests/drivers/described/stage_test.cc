@@ -275,6 +275,96 @@ TEST(PlaceTest, EachAxisReadsItsOwnLetterInAReplyForAll) {
   EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), 60.0, 1e-3);
 }
 
+sim::WorldFault fault_of(sim::FaultKind kind, StageAxis axis, Clock::Instant at) {
+  sim::WorldFault fault;
+  fault.kind = kind;
+  fault.axis = axis;
+  fault.at = at;
+  return fault;
+}
+
+TEST(ReferenceByHandTest, IsNeverSearchedFor) {
+  ShippedStage one("aerotech_ensemble", {"X", "Y"});
+  one.stage->move_to(StageAxis::kX, Angle::degrees(30.0));
+  one.wait(StageAxis::kX);
+  one.stage->home(StageAxis::kX);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kX).deg(), 30.0, 1e-3);
+  one.world->inject(fault_of(sim::FaultKind::kLostReference, StageAxis::kX, one.clock.now()));
+  EXPECT_THAT(error_of([&] { one.stage->home(StageAxis::kX); }, Fault::kNotReady),
+              AllOf(HasSubstr("has no reference"), HasSubstr("at the controller")));
+  EXPECT_FALSE(one.world->moving(StageAxis::kX, one.clock.now()));
+}
+
+TEST(SpeedInAMoveTest, IsTheDescribedOneUnlessOneIsStated) {
+  ShippedStage one("aerotech_ensemble", {"X", "Y"});
+  EXPECT_DOUBLE_EQ(one.stage->identify().axes[0].speed_deg_per_s, 10.0);
+  one.stage->move_to(StageAxis::kX, Angle::degrees(30.0));
+  EXPECT_DOUBLE_EQ(one.world->motion_limits(StageAxis::kX).speed_deg_per_s, 10.0);
+  one.wait(StageAxis::kX);
+  one.stage->set_speed(StageAxis::kX, 2.5);
+  one.stage->move_to(StageAxis::kX, Angle::degrees(20.0));
+  EXPECT_DOUBLE_EQ(one.world->motion_limits(StageAxis::kX).speed_deg_per_s, 2.5);
+  one.wait(StageAxis::kX);
+  one.stage->set_speed(StageAxis::kX, std::nullopt);
+  one.stage->move_to(StageAxis::kX, Angle::degrees(30.0));
+  EXPECT_DOUBLE_EQ(one.world->motion_limits(StageAxis::kX).speed_deg_per_s, 10.0);
+}
+
+TEST(LastLineTest, EndsAReplyWhoseFirstLineCounts) {
+  ShippedStage one("grbl", {"X", "Y"});
+  EXPECT_EQ(one.stage->identify().model, "1.1h.20190825");
+  one.stage->move_to(StageAxis::kZ, Angle::degrees(60.0));
+  // Grbl has one state for all axes.
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kX), MotionState::kMoving);
+  one.wait(StageAxis::kZ);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), 60.0, 1e-3);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kX).deg(), 0.0, 1e-3);
+  one.world->inject(fault_of(sim::FaultKind::kRefusedMove, StageAxis::kX, one.clock.now()));
+  EXPECT_THAT(error_of([&] { one.stage->move_to(StageAxis::kX, Angle::degrees(9.0)); }, Fault::kRefused),
+              HasSubstr("error:"));
+}
+
+// A question that is answered in the order of the lines comes first: a status may overtake the last jog.
+TEST(LastLineTest, TheHaltOfAJogIsAByteAndIsConfirmedBehindTheLastJog) {
+  ShippedStage one("grbl", {"X", "Y"});
+  const HaltRecipe recipe = one.stage->halt_recipes().at(0);
+  EXPECT_EQ(recipe.end_partial, "$\n");
+  EXPECT_EQ(recipe.stop, "\x85");
+  ASSERT_EQ(recipe.questions.size(), 3U);
+  EXPECT_EQ(recipe.questions[0].bytes, "$G\n");
+  EXPECT_EQ(recipe.questions[1].bytes, "?\n");
+}
+
+// An axis at rest away from its target has not begun to move, as far as its rate says.
+TEST(WindowTest, ARateOfZeroAwayFromTheTargetIsNoRestUntilAHalt) {
+  ShippedStage one("acutrol3000");
+  one.world->inject(fault_of(sim::FaultKind::kStalledAxis, StageAxis::kX, one.clock.now()));
+  one.stage->move_to(StageAxis::kX, Angle::degrees(40.0));
+  one.clock.sleep_until(one.clock.now() + 60s);
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kX), MotionState::kMoving);
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kZ), MotionState::kStopped);
+  EXPECT_TRUE(one.stage->halt());
+  EXPECT_EQ(one.stage->motion_state(StageAxis::kX), MotionState::kStopped);
+}
+
+TEST(AllTargetsTest, AnAxisThatIsNotToMoveKeepsItsTargetOrItsAngle) {
+  ShippedStage one("micos_corvus", {"3", "1"});
+  one.stage->move_to(StageAxis::kX, Angle::degrees(60.0));
+  one.stage->move_to(StageAxis::kZ, Angle::degrees(-30.0));
+  one.wait(StageAxis::kX);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kX).deg(), 60.0, 1e-3);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), -30.0, 1e-3);
+  one.stage->move_to(StageAxis::kX, Angle::degrees(0.0));
+  one.clock.sleep_until(one.clock.now() + 500ms);
+  EXPECT_TRUE(one.stage->halt());
+  const double halted = one.stage->encoder_angle(StageAxis::kX).deg();
+  EXPECT_GT(halted, 1.0);
+  one.stage->move_to(StageAxis::kZ, Angle::degrees(0.0));
+  one.wait(StageAxis::kZ);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kX).deg(), halted, 0.01);
+  EXPECT_NEAR(one.stage->encoder_angle(StageAxis::kZ).deg(), 0.0, 1e-3);
+}
+
 // Nothing spoils a command of these: it is carried out, and the halt behind it ends its motion.
 TEST(HalfCommandTest, IsHaltedInTheWriteThatEndsIt) {
   for (const char* name : {"newport_smc100", "newport_conex_cc"}) {
