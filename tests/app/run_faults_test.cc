@@ -214,10 +214,15 @@ void PrintTo(const FaultOnDriver& one, std::ostream* out) {
 
 std::vector<FaultOnDriver> faults_on_drivers() {
   std::vector<FaultOnDriver> all;
+  std::size_t described = 0;
   for (const sim::FaultDescription& fault : sim::fault_descriptions()) {
     // These benches have no chamber; temperature_series_test has its faults.
     if (fault.kind == FaultKind::kChamberAlarm || fault.kind == FaultKind::kChamberDoor) continue;
-    for (const StageCase& stage : stages()) {
+    // Descriptions share a driver, whose calls meet every fault with every description in DriverFaults: here
+    // each fault meets one of them.
+    std::vector<StageCase> on_stages = stages();
+    on_stages.push_back(described_stages()[described++ % described_stages().size()]);
+    for (const StageCase& stage : on_stages) {
       if (fault.kind == FaultKind::kLostController && !stage.name.ends_with("_chain")) continue;
       all.push_back(
           {stage, accelerometers().front(), stage.name == "two_controllers" ? "stage-z" : "stage", fault});
