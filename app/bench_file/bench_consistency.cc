@@ -137,9 +137,8 @@ void check_ports(TomlReader& reader, const BenchConfig& c, bool is_list) {
                          "a port of this computer, such as \"/dev/ttyUSB0\": `abcal instruments` lists them");
     const auto owner = owners.emplace(port, where).first;
     // Port 0 is any free one, which an emulator takes.
-    const bool is_real =
-        (port.starts_with("usb:") || port.starts_with("tcp:") || port.starts_with("/dev/")) &&
-        !port.ends_with(":0");
+    const bool is_real = (port.starts_with("usb:") || has_tcp_frames(port) || port.starts_with("/dev/")) &&
+                         !port.ends_with(":0");
     if (is_real && owner->second != where)
       reader.add_problem(where, fmt::format("{}, which {} has", found, owner->second),
                          "another port: one port has one instrument");

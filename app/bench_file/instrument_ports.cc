@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "drivers/instrument/driver_catalogue.h"
+#include "drivers/text/text.h"
 
 namespace abcal {
 namespace {
@@ -86,7 +87,7 @@ std::vector<InstrumentPort> chamber_ports(const ChamberConfig& chamber) {
 }
 
 bool has_tcp_frames(const std::string& port) {
-  return port.starts_with("tcp:");
+  return port.starts_with("tcp:") || pieces::lower(port).starts_with("tcpip");
 }
 
 }  // namespace abcal

@@ -16,6 +16,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/text/number.h"
+#include "drivers/text/text.h"
 
 namespace abcal::wire {
 namespace {
@@ -60,7 +61,7 @@ std::string describe(const std::vector<PortInfo>& ports) {
 [[noreturn]] void malformed(std::string_view port, std::string_view why) {
   throw std::invalid_argument(fmt::format(
       "port \"{}\": {}; required: a path such as /dev/ttyUSB0, usb:VID:PID[:SERIAL] with four hexadecimal "
-      "digits each, tcp:HOST:PORT, or usbtmc:/dev/usbtmc0",
+      "digits each, tcp:HOST:PORT, TCPIP::HOST::PORT::SOCKET, or usbtmc:/dev/usbtmc0",
       port, why));
 }
 
@@ -89,22 +90,42 @@ PortName parse_usb(std::string_view port) {
   return name;
 }
 
-PortName parse_tcp(std::string_view port) {
+PortName tcp_port(std::string_view port, std::string_view host, std::string_view number_text) {
   PortName name;
   name.kind = PortName::Kind::kTcp;
-  const std::string_view rest = port.substr(4);
-  const std::size_t colon = rest.rfind(':');
-  if (colon == std::string_view::npos) malformed(port, "the port number is missing");
-  std::string_view host = rest.substr(0, colon);
   if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
   if (host.empty()) malformed(port, "the host is missing");
   name.host = host;
-  const auto number = pieces::number<std::uint16_t>(rest.substr(colon + 1), 10);
-  if (!number || *number == 0) {
-    malformed(port, fmt::format("\"{}\" is not a port number of 1 to 65535", rest.substr(colon + 1)));
-  }
+  const auto number = pieces::number<std::uint16_t>(number_text, 10);
+  if (!number || *number == 0)
+    malformed(port, fmt::format("\"{}\" is not a port number of 1 to 65535", number_text));
   name.tcp_port = *number;
   return name;
+}
+
+PortName parse_tcp(std::string_view port) {
+  const std::string_view rest = port.substr(4);
+  const std::size_t colon = rest.rfind(':');
+  if (colon == std::string_view::npos) malformed(port, "the port number is missing");
+  return tcp_port(port, rest.substr(0, colon), rest.substr(colon + 1));
+}
+
+/// "TCPIP::HOST::PORT::SOCKET", as VISA names a port that carries nothing but the instrument's own bytes.
+PortName parse_visa(std::string_view port) {
+  std::vector<std::string> words;
+  for (std::size_t begin = 0; begin <= port.size();) {
+    const std::size_t end = std::min(port.find("::", begin), port.size());
+    words.push_back(pieces::lower(port.substr(begin, end - begin)));
+    begin = end + 2;
+  }
+  const bool is_socket = words.size() == 4 && words[0].starts_with("tcpip") && words[3] == "socket" &&
+                         words[0].find_first_not_of("0123456789", 5) == std::string::npos;
+  if (!is_socket)
+    malformed(
+        port,
+        "a VISA name, of which only TCPIP::HOST::PORT::SOCKET is supported: VXI-11 and HiSLIP (::INSTR) and "
+        "GPIB are not, so use the instrument's raw SCPI socket, often 5025, its USB or its serial port");
+  return tcp_port(port, words[1], words[2]);
 }
 
 }  // namespace
@@ -196,6 +217,8 @@ std::vector<PortInfo> list_ports() {
 PortName parse_port(std::string_view port) {
   if (port.starts_with("usb:")) return parse_usb(port);
   if (port.starts_with("tcp:")) return parse_tcp(port);
+  if (port.find('/') == std::string_view::npos && port.find("::") != std::string_view::npos)
+    return parse_visa(port);
   if (port.find('/') == std::string_view::npos) malformed(port, "not the name of a port");
   PortName name;
   constexpr std::string_view kUsbtmc = "usbtmc:";

@@ -55,8 +55,8 @@ struct PortName {
 };
 
 /// Parses "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal), "tcp:HOST:PORT" ("tcp:[::1]:50000" for
-/// IPv6) or "usbtmc:/path"; a path that begins with /dev/usbtmc counts as the last form. Neither opens a port
-/// nor searches for one.
+/// IPv6), which VISA calls "TCPIP::HOST::PORT::SOCKET", or "usbtmc:/path"; a path that begins with
+/// /dev/usbtmc counts as the last form. Neither opens a port nor searches for one.
 /// @throws std::invalid_argument that states what was found and what is required.
 PortName parse_port(std::string_view port);
 

@@ -90,11 +90,50 @@ TEST(PortListTest, NamesAreTakenApart) {
   EXPECT_EQ(parse_port("usbtmc:/dev/voltmeter").kind, PortName::Kind::kUsbtmc);
 }
 
-TEST(PortListTest, MalformedNamesSayWhatIsRequired) {
+TEST(PortListTest, ARawSocketMayHaveItsVisaName) {
+  for (const char* port : {"TCPIP::192.168.0.20::5025::SOCKET", "TCPIP0::192.168.0.20::5025::SOCKET",
+                           "tcpip::192.168.0.20::5025::socket"}) {
+    EXPECT_EQ(parse_port(port).kind, PortName::Kind::kTcp);
+    EXPECT_EQ(parse_port(port).host, "192.168.0.20");
+    EXPECT_EQ(parse_port(port).tcp_port, 5025);
+  }
+}
+
+TEST(PortListTest, OtherVisaNamesAreRefusedWithTheWayOut) {
   for (const std::string port :
-       {"", "COM3", "simulated", "usb:", "usb:0403", "usb:0403:", "usb:0403:6001:", "usb:xyzw:6001",
-        "usb:10403:6001", "tcp:", "tcp:host", "tcp::50000", "tcp:host:", "tcp:host:0", "tcp:host:65536",
-        "tcp:host:5x", "usbtmc:", "usbtmc:0"}) {
+       {"TCPIP::192.168.0.20::INSTR", "TCPIP0::192.168.0.20::inst0::INSTR", "TCPIP::meter::hislip0::INSTR",
+        "GPIB0::22::INSTR", "USB0::0x2A8D::0x0101::MY1::INSTR", "TCPIPX::meter::5025::SOCKET"}) {
+    try {
+      parse_port(port);
+      ADD_FAILURE() << port << " was accepted";
+    } catch (const std::invalid_argument& error) {
+      EXPECT_THAT(error.what(), AllOf(HasSubstr("\"" + port + "\""), HasSubstr("raw SCPI socket"),
+                                      HasSubstr("TCPIP::HOST::PORT::SOCKET")));
+    }
+  }
+}
+
+TEST(PortListTest, MalformedNamesSayWhatIsRequired) {
+  for (const std::string port : {"",
+                                 "COM3",
+                                 "simulated",
+                                 "usb:",
+                                 "usb:0403",
+                                 "usb:0403:",
+                                 "usb:0403:6001:",
+                                 "usb:xyzw:6001",
+                                 "usb:10403:6001",
+                                 "tcp:",
+                                 "tcp:host",
+                                 "tcp::50000",
+                                 "tcp:host:",
+                                 "tcp:host:0",
+                                 "tcp:host:65536",
+                                 "tcp:host:5x",
+                                 "usbtmc:",
+                                 "usbtmc:0",
+                                 "TCPIP::host::0::SOCKET",
+                                 "TCPIP::::5025::SOCKET"}) {
     try {
       parse_port(port);
       ADD_FAILURE() << port << " was accepted";
