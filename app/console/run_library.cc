@@ -98,7 +98,7 @@ std::optional<std::filesystem::path> file_in(const std::filesystem::path& folder
   return std::nullopt;
 }
 
-/// What a page shows of a result: inputs that dominate it, downloads, the certificate, all estimators.
+/// Adds the parts of a page on a result: inputs that dominate it, downloads, the certificate, all estimators.
 /// @param of  the file that it is of, and the number of the item
 void add_result(Json& json, const AnalysedItem& shown, const ItemOfRun& of) {
   json["dominates"] = Json::array();
@@ -190,7 +190,7 @@ std::optional<std::filesystem::path> RunLibrary::find_measurement(const std::str
   return file_in(folder_, name, kMeasurement);
 }
 
-/// What is simulated of a run in the folder, as a list shows it; null: nothing, or it is not there.
+/// Names the simulated instruments of a run in the folder, as a list shows them; null: none, or no such run.
 Json RunLibrary::simulated_in(const std::string& name) {
   PageAsked asked;
   asked.search = name;

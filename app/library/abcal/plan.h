@@ -25,7 +25,7 @@ struct PredictedPlan {
   /// Empty: in steps. Otherwise the stage turns at these rates, up and down in turn, and `steps` divide each
   /// sweep.
   std::vector<double> rate_deg_per_s;
-  int sweeps = 0;  ///< Of each circle, at a constant rate.
+  int sweeps = 0;  ///< Sweeps of each circle, at a constant rate.
 };
 
 struct PlanQuestion {

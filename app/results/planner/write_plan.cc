@@ -81,7 +81,7 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
   bool as_meant = false;
   try {
     BenchConfig found = parse_bench(changed, source, lookup);
-    // What only turning brings in, and the truth of a simulated bench, follow from the plan.
+    // Effects that only turning brings in, and the truth of a simulated bench, follow from the plan.
     for (BenchConfig* each : {&found, &wanted})
       for (BenchItemConfig& item : each->items) item.tolerances = with_effects_of_motion(item.tolerances);
     wanted.simulation = found.simulation;
