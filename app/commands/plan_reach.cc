@@ -19,6 +19,7 @@
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
+#include "app/system/progress.h"
 #include "app/system/read_file.h"
 
 namespace abcal {

@@ -281,7 +281,7 @@ export async function showMeasurement(name, item) {
 // Each run of a measurement: how the item stood, and how far its results alone are from the joint one.
 function membersOf(runs, series) {
   const apart = ({alone}, estimator) => (alone?.[estimator] ? `${alone[estimator].largest_difference_in_u.toFixed(1)} u (${alone[estimator].output})` : DASH);
-  const made = table(t('How far the results of each run alone are from the joint one: the largest difference of s, phi and O.'), [t('Run'), t('Begun'), t('Operator'), t('Mounting'), t('Alone'), 'ABC', 'norm', t('joint')],
+  const made = table(t('How far the results of each run alone are from the joint one: the largest difference of s, phi and O.'), [t('Run'), t('Begun'), t('Operator'), t('Mounting'), t('Alone'), 'ABC', 'norm', 'joint'],
     runs.map((run, i) => [run.is_here ? element('a', {href: `#runs/${encoded(run.name)}`}, run.name) : run.name, day(run.created_utc), operatorIn(run.operator) || DASH, series[i]?.mounting ?? DASH,
       verdictMark(series[i]?.verdict_alone), ...['abc', 'norm', 'joint'].map((estimator) => (series[i] ? apart(series[i], estimator) : DASH))]));
   made.id = 'measurement-runs';
