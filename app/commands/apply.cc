@@ -49,7 +49,8 @@ ProtocolConfig verification_plan(const ApplyRequest& request, const BenchConfig&
     offset = std::max(offset, kCoarser * found.offset[j].standard_uncertainty / scale);
   }
   if (!std::isfinite(s) || !std::isfinite(offset)) return config.protocol;
-  PlanSearch search(planning_bench(config, item_of_run(run.first_run(request.run), item)));
+  PlanSearch search(planning_bench(config, item_of_run(run.first_run(request.run), item)),
+                    PlanSearch::Tried::kSteps);
   const FoundPlan plan = search.shortest(wanted);
   return plan.plan ? plan.plan->protocol : config.protocol;
 }

@@ -74,11 +74,12 @@ std::vector<std::string> why_out_of_reach(const PlanPrediction& longest, const W
 
 }  // namespace
 
-PlanSearch::PlanSearch(PlanningBench bench) : bench_(std::move(bench)) {
+PlanSearch::PlanSearch(PlanningBench bench, Tried tried) : bench_(std::move(bench)) {
   const ProtocolConfig& protocol = bench_.config.protocol;
   for (const int steps : kTriedSteps) tried_.emplace_back(bench_, with_circles(protocol, steps, 1));
   if (bench_.config.allows_two_faces())
     for (const int steps : kTriedInTwoFaces) try_if_possible(with_circles(protocol, steps, 2));
+  if (tried == Tried::kSteps) return;
   for (const ProtocolConfig& sweeps : sweeps_to_try(bench_)) try_if_possible(sweeps);
 }
 

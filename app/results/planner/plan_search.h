@@ -43,8 +43,12 @@ struct FoundPlan {
 /// predict_plan(), whose uncertainties it has. Models are kept, so that further questions cost little.
 class PlanSearch {
  public:
+  /// The plans that are tried. A plan that turns has effects of motion, with their default sizes where the
+  /// bench file does not state them: it is for a bench file that is read again, not for a BenchConfig whose
+  /// plan is replaced.
+  enum class Tried { kSteps, kStepsAndRates };
   /// @throws PlanError if the stage cannot reach the angles in one face
-  explicit PlanSearch(PlanningBench bench);
+  explicit PlanSearch(PlanningBench bench, Tried tried = Tried::kStepsAndRates);
   PlanSearch(const PlanSearch&) = delete;
   PlanSearch& operator=(const PlanSearch&) = delete;
 
