@@ -225,6 +225,9 @@ void print_answer(const PlanQuestion& question, const FoundPlan& found, const Pl
         "counted, and no constant rate is tried.\n");
     break;
   }
+  if (config.has_several_items())
+    print_result("Predicted for item 1 alone of {}: another with more noise, or at a lower rate, has more.\n",
+                 config.items.size());
   print_result("Tried: {}{}.\n", tried_words(search),
                question.bench.stage_record.record ? "; with the record of the stage" : "");
   print_result("Noise of one reading: {:.3g} g_loc, taken as white. The item {}. Estimator: {}.\n",

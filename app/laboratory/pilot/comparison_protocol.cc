@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <set>
+#include <span>
 #include <stdexcept>
 
 #include "app/formats/toml_reader.h"
@@ -117,6 +118,34 @@ void read_schedule(TomlReader& keys, ComparisonProtocol& protocol) {
         "the standard uncertainty of the part that differs between its repeats, for each quantity");
 }
 
+/// Reports a last bound whose correlation is not possible, and a pair of participants with a bound before:
+/// bounds of one pair would add up, or cancel.
+void check_bound(TomlReader& keys, const std::vector<ProtocolBound>& bounds) {
+  const ProtocolBound& one = bounds.back();
+  if (one.correlation == 0.0)
+    keys.add_missing("correlation", "the largest correlation that is possible, from -1 to 1 and not 0");
+  const double least = -1.0 / std::max(1.0, static_cast<double>(one.participants.size()) - 1.0);
+  if (one.correlation >= 1.0 || one.correlation <= least)
+    keys.add_problem_at(keys.line(), keys.name("correlation"), fmt::format("{:g}", one.correlation),
+                        fmt::format("above {:g}, the least that {} results can have, and below 1", least,
+                                    one.participants.size()));
+  const auto common = [](const std::vector<std::string>& a, const std::vector<std::string>& b) {
+    std::set<std::string> both;
+    for (const std::string& name : a)
+      if (std::ranges::find(b, name) != b.end()) both.insert(name);
+    return both;
+  };
+  for (const ProtocolBound& other : std::span(bounds).first(bounds.size() - 1)) {
+    const std::set<std::string> pair = common(one.participants, other.participants);
+    if (pair.size() < 2 || common(one.quantities, other.quantities).empty()) continue;
+    keys.add_problem_at(
+        keys.line(), keys.name("participants"), fmt::format("{}", fmt::join(pair, ", ")),
+        fmt::format(
+            "one bound for them; \"{}\" is another: state the largest correlation of all their causes",
+            other.name));
+  }
+}
+
 void read_common(TomlReader& keys, ComparisonProtocol& protocol) {
   const std::size_t size = protocol.quantities.size();
   keys.section("");
@@ -146,8 +175,7 @@ void read_common(TomlReader& keys, ComparisonProtocol& protocol) {
       keys.add_problem_at(keys.line(), keys.name("participants"),
                           fmt::format("{}", fmt::join(one.participants, ", ")),
                           "the names of two participants or more");
-    if (one.correlation == 0.0)
-      keys.add_missing("correlation", "the largest correlation that is possible, from -1 to 1 and not 0");
+    check_bound(keys, protocol.correlation_bounds);
   });
   keys.section("link");
   keys.text("comparison", protocol.linked_comparison);
@@ -291,7 +319,7 @@ date = 2026-06-01
 # [[correlation_bound]]
 # name = "gravity network"
 # participants = ["LAB2", "LAB3"]
-# correlation = 0.5             # the largest one that is possible, from -1 to 1
+# correlation = 0.5             # the largest one that is possible, between -1 and 1
 # quantities = ["s_u", "s_v", "s_w"]  # default: all of the comparison
 
 # Link to an earlier comparison by participants of both.

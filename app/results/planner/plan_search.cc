@@ -26,7 +26,10 @@ ProtocolConfig with_circles(ProtocolConfig protocol, int steps, int faces) {
 std::vector<ProtocolConfig> sweeps_to_try(const PlanningBench& bench) {
   const BenchConfig& config = bench.config;
   std::vector<ProtocolConfig> tried;
-  if (!config.allows_constant_rate() || config.protocol.estimator != kDefaultEstimator) return tried;
+  // Several items that turn are evaluated each by itself: what one of them says of the stage would be lost.
+  if (!config.allows_constant_rate() || config.has_several_items() ||
+      config.protocol.estimator != kDefaultEstimator)
+    return tried;
   ProtocolConfig protocol = config.protocol;
   const double fastest = std::min(bench.speed[0].deg_per_s, bench.speed[1].deg_per_s);
   if (protocol.is_constant_rate()) tried.push_back(protocol);

@@ -452,12 +452,27 @@ TEST_F(PilotCommand, BoundOfCorrelationThatIsImpossibleIsRefused) {
   EXPECT_THAT(refusal("\"LAB2\", \"LAB2\"", "0.5"), HasSubstr("two participants or more"));
   EXPECT_THAT(refusal("\"LAB2\", \"LAB3\"", "0"), HasSubstr("the largest correlation that is possible"));
   // Negative correlations of three are possible to -1/2 only.
-  EXPECT_EQ(refusal("\"LAB2\", \"LAB3\", \"LAB4\"", "-0.6"), "");
-  add_all();
-  const ProgramResult result = pilot({"analyse", "c.toml"});
-  EXPECT_EQ(result.exit_code, 2);
-  EXPECT_THAT(result.err,
-              AllOf(HasSubstr("correlation -0.6 by polygon"), HasSubstr("not positive definite")));
+  EXPECT_THAT(
+      refusal("\"LAB2\", \"LAB3\", \"LAB4\"", "-0.6"),
+      AllOf(HasSubstr("-0.6"), HasSubstr("above -0.5, the least that 3 results can have, and below 1")));
+  EXPECT_EQ(refusal("\"LAB2\", \"LAB3\", \"LAB4\"", "-0.4"), "");
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB3\"", "1"), HasSubstr("below 1"));
+  EXPECT_THAT(refusal("\"LAB2\", \"LAB3\"", "-1"), HasSubstr("above -1"));
+}
+
+TEST_F(PilotCommand, TwoBoundsOfOnePairAreRefused) {
+  const auto refusal = [&](const std::string& second) {
+    write_protocol("",
+                   "[[correlation_bound]]\nname = \"net\"\nparticipants = [\"LAB2\", \"LAB3\"]\n"
+                   "correlation = 0.9\nquantities = [\"s_u\"]\n[[correlation_bound]]\nname = \"other\"\n" +
+                       second);
+    return pilot({"status", "c.toml"}).err;
+  };
+  // They would cancel, and the report would deny what the first alone shows.
+  EXPECT_THAT(refusal("participants = [\"LAB4\", \"LAB3\", \"LAB2\"]\ncorrelation = -0.4\n"),
+              AllOf(HasSubstr("LAB2, LAB3"), HasSubstr("one bound for them; \"net\" is another")));
+  EXPECT_EQ(refusal("participants = [\"LAB4\", \"LAB3\"]\ncorrelation = -0.4\n"), "");
+  EXPECT_EQ(refusal("participants = [\"LAB2\", \"LAB3\"]\ncorrelation = -0.4\nquantities = [\"s_v\"]\n"), "");
 }
 
 TEST_F(PilotCommand, ParticipantThatDiffersIsNamed) {

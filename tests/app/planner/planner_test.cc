@@ -579,11 +579,14 @@ TEST(PlanSearchTest, AStageThatTurnsIsPlannedAtAConstantRateWhereThatIsShorter) 
   over_temperature.config.temperature.set_points_degc = {10.0, 30.0};
   PlanningBench by_hand = planned;
   by_hand.config.stage.driver = by_hand.config.stage.port = "manual_stage";
+  PlanningBench several_items = planned;
+  several_items.config.items.push_back(several_items.config.items.front());
   PlanningBench slow_readings = planned;
   slow_readings.config.items.front().accelerometer.settings.rate_hz = 5.0;
   for (const auto& [why, each] : {std::pair{"ABC", by_abc},
                                   {"temperature", over_temperature},
                                   {"by hand", by_hand},
+                                  {"several items", several_items},
                                   {"slow readings", slow_readings}})
     EXPECT_FALSE(PlanSearch(each).tried_sweeps()) << why;
   EXPECT_TRUE(PlanSearch(planned).tried_sweeps());
