@@ -332,7 +332,7 @@ void check_constant_rate(TomlReader& reader, const BenchConfig& c) {
     }
   }
   for (const BenchItemConfig& item : c.items) {
-    const double readings = item.accelerometer.settings.rate_hz * p.step.deg() / fastest;
+    const double readings = readings_of_step(p, fastest, item.accelerometer.settings.rate_hz);
     if (readings >= kLeastReadingsOfStep) continue;
     reader.add_problem(
         "protocol.rate_deg_per_s",

@@ -218,13 +218,10 @@ void print_answer(const PlanQuestion& question, const FoundPlan& found, const Pl
     print_prediction(*found.plan, question.wanted);
     print_result("{}.\n", check_words(found));
   }
-  for (const AxisSpeed& speed : question.bench.speed) {
-    if (speed.deg_per_s > 0.0) continue;
+  if (!std::ranges::all_of(question.bench.speed, [](const AxisSpeed& axis) { return axis.deg_per_s > 0.0; }))
     print_result(
         "The speed of an axis is not stated ([stage.x] and [stage.z] speed_deg_per_s): its moves are not "
         "counted, and no constant rate is tried.\n");
-    break;
-  }
   if (config.has_several_items())
     print_result("Predicted for item 1 alone of {}: another with more noise, or at a lower rate, has more.\n",
                  config.items.size());

@@ -46,6 +46,20 @@ std::optional<int> item_of(const std::string& text) {
   return item && *item >= 1 && *item <= static_cast<int>(kMostItems) ? item : std::nullopt;
 }
 
+/// The name and the item of KIND/NAME/WHAT (no item) and KIND/NAME/items/K/WHAT; nullopt for other paths.
+std::optional<std::pair<std::string, std::string>> named_in(const std::vector<std::string>& words,
+                                                            std::string_view kind) {
+  const bool of_item = words.size() == 5 && words[2] == "items" && !words[3].empty();
+  if ((words.size() != 3 && !of_item) || words[0] != kind) return std::nullopt;
+  return std::pair(words[1], of_item ? words[3] : std::string());
+}
+
+/// The download of this name; null: there is none.
+const Download* find_download(const std::string& name) {
+  const auto found = std::ranges::find(downloads(), name, &Download::name);
+  return found == downloads().end() ? nullptr : &*found;
+}
+
 /// The fields after "?"; nullopt if they cannot be parsed.
 auto query_of(const HttpRequest& request) {
   const std::string_view target = view(request.target());
@@ -315,23 +329,24 @@ bool Answers::order_of_measurement(const std::vector<std::string>& words, Slow& 
     later.make = [this](const std::stop_token&) { return made_of_json(library_.measurements()); };
     return true;
   }
-  const bool of_item = words.size() == 5 && words[2] == "items";
-  const auto path = library_.find_measurement(words[1]);
-  const auto item = of_item ? item_of(words[3]) : 0;
-  if ((words.size() != 3 && !of_item) || !path || !item) return false;
+  const auto named = named_in(words, "measurements");
+  if (!named) return false;
+  const auto path = library_.find_measurement(named->first);
+  const auto item = named->second.empty() ? 1 : item_of(named->second);
+  if (!path || !item) return false;
   later.workshop = &analyses_;
   later.name = fmt::format("{}", fmt::join(words, "/"));
-  const ItemOfRun of{*path, std::max(*item, 1)};
+  const ItemOfRun of{*path, *item};
   std::function<Product(const std::stop_token&)> make;
-  if (words.back() == "result")
+  if (words.back() == "result") {
     make = [this, of](const std::stop_token&) {
       return *made_of_json(library_.measurement(of.run, of.item));
     };
-  for (const Download& download : downloads()) {
-    if (words.back() != download.name || (download.available && !download.available(of))) continue;
-    if (download.is_printed) later.workshop = &prints_;
+  } else if (const Download* download = find_download(words.back());
+             download != nullptr && (!download->available || download->available(of))) {
+    if (download->is_printed) later.workshop = &prints_;
     make = [of, download](const std::stop_token& cancelled) {
-      return Product{200, download.content_type, download.make(of, cancelled), true};
+      return Product{200, download->content_type, download->make(of, cancelled), true};
     };
   }
   if (!make) return false;
@@ -346,10 +361,8 @@ bool Answers::order_of_measurement(const std::vector<std::string>& words, Slow& 
 }
 
 std::optional<ItemOfRun> Answers::find_item(const std::vector<std::string>& words) const {
-  const bool of_item = words.size() == 5 && words[2] == "items";
-  if ((words.size() != 3 && !of_item) || words[0] != "runs") return std::nullopt;
-  if (of_item && words[3].empty()) return std::nullopt;
-  return find_item(words[1], of_item ? words[3] : "");
+  const auto named = named_in(words, "runs");
+  return named ? find_item(named->first, named->second) : std::nullopt;
 }
 
 /// Orders a product of one item of a run; item 0 is the first that was not left out.
@@ -368,16 +381,14 @@ bool Answers::order_of_run(const ItemOfRun& of, const std::string& what, Slow& l
     });
     return true;
   }
-  for (const Download& download : downloads()) {
-    if (what != download.name) continue;
-    if (download.is_printed) later.workshop = &prints_;
-    later.make = kept(download.name + of_item, files, [of, download](const std::stop_token& cancelled) {
-      const int item = shown_item(RunFile::load(of.run), of.item);
-      return Product{200, download.content_type, download.make({of.run, item}, cancelled), true};
-    });
-    return true;
-  }
-  return false;
+  const Download* download = find_download(what);
+  if (download == nullptr) return false;
+  if (download->is_printed) later.workshop = &prints_;
+  later.make = kept(download->name + of_item, files, [of, download](const std::stop_token& cancelled) {
+    const int item = shown_item(RunFile::load(of.run), of.item);
+    return Product{200, download->content_type, download->make({of.run, item}, cancelled), true};
+  });
+  return true;
 }
 
 }  // namespace abcal::console

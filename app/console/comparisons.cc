@@ -6,6 +6,7 @@
 #include <system_error>
 #include <utility>
 
+#include "app/console/run_index.h"
 #include "app/document/document_html.h"
 #include "app/laboratory/pilot/pilot_document.h"
 #include "app/system/read_file.h"
@@ -19,20 +20,27 @@ using Path = std::filesystem::path;
 Comparisons::Comparisons(std::vector<Path> folders, std::string register_location)
     : folders_(std::move(folders)), register_location_(std::move(register_location)) {}
 
+namespace {
+
+bool is_protocol(const Path& file) {
+  if (!is_own_file(file, ".toml")) return false;
+  try {
+    return read_file(file).find(kComparisonSchema) != std::string::npos;
+  } catch (const std::exception&) {
+    return false;  // A file that cannot be read is not known to be a protocol.
+  }
+}
+
+}  // namespace
+
 std::vector<Path> Comparisons::files() const {
   std::vector<Path> found;
   for (const Path& folder : folders_) {
     std::error_code unreadable;
     for (const auto& entry : std::filesystem::directory_iterator(folder, unreadable)) {
       const Path& file = entry.path();
-      if (file.extension() != ".toml" || !entry.is_regular_file(unreadable) ||
-          std::ranges::find(found, file.filename(), &Path::filename) != found.end())
-        continue;
-      try {
-        if (read_file(file).find(kComparisonSchema) != std::string::npos) found.push_back(file);
-      } catch (const std::exception&) {
-        continue;  // A file that cannot be read is not known to be a protocol.
-      }
+      if (std::ranges::find(found, file.filename(), &Path::filename) == found.end() && is_protocol(file))
+        found.push_back(file);
     }
   }
   std::ranges::sort(found, {}, [](const Path& file) { return file.filename(); });
@@ -40,8 +48,9 @@ std::vector<Path> Comparisons::files() const {
 }
 
 std::optional<Path> Comparisons::find(const std::string& name) const {
-  for (const Path& file : files())
-    if (file.filename() == name) return file;
+  if (Path(name).filename() != name) return std::nullopt;  // It would lead out of the folder.
+  for (const Path& folder : folders_)
+    if (is_protocol(folder / name)) return folder / name;
   return std::nullopt;
 }
 

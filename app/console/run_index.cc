@@ -411,15 +411,36 @@ RunIndex::Page RunIndex::page_of(const Asked& asked, std::unique_lock<std::mutex
     page.last_utc = std::max(page.last_utc, found.text(3));
   }
   for (const std::string& name : names_shown(asked)) {
-    SqliteStatement row = database_.prepare("select summary from words where name = ?");
-    if (!row.bind(1, std::string_view(name)).step()) continue;
-    page.runs.push_back(Json::parse(row.text(0)));
-    Json& run = page.runs.back();
-    // Not if the program ended before the analysis; resuming the run analyses it.
-    if (run.contains("verdict"))
-      run["analysed"] = !contents_of(ResultsFile::path_beside(folder_ / name)).empty();
+    Json run = known_summary(name);
+    if (!run.is_null()) page.runs.push_back(std::move(run));
   }
   return page;
+}
+
+Json RunIndex::known_summary(const std::string& name) {
+  SqliteStatement row = database_.prepare("select summary from words where name = ?");
+  if (!row.bind(1, std::string_view(name)).step()) return nullptr;
+  Json run = Json::parse(row.text(0));
+  // Not if the program ended before the analysis; resuming the run analyses it.
+  if (run.contains("verdict"))
+    run["analysed"] = !contents_of(ResultsFile::path_beside(folder_ / name)).empty();
+  return run;
+}
+
+Json RunIndex::summary(const std::string& name) {
+  const std::filesystem::path path = folder_ / name;
+  if (!is_own_file(path, ".run")) return nullptr;
+  const std::lock_guard lock(mutex_);
+  return on_disk_or_in_memory([&] {
+    find_run(name);
+    SqliteStatement unread = database_.prepare("select contents from run where name = ? and is_read = 0");
+    if (unread.bind(1, std::string_view(name)).step()) {
+      const std::string contents = unread.text(0);
+      unread.reset();
+      store(name, contents, read_run(path));
+    }
+    return known_summary(name);
+  });
 }
 
 std::vector<RunIndex::RunOfItem> RunIndex::runs_of_item(const std::string& serial_number,

@@ -62,6 +62,9 @@ class RunIndex {
   /// read yet".
   Page page(const Asked& asked, std::chrono::milliseconds patience);
 
+  /// The data of one run as page() has them; null: there is none of this name. Waits for no other run.
+  nlohmann::ordered_json summary(const std::string& name);
+
   /// A run as it was read.
   struct ReadRun {
     nlohmann::ordered_json summary;
@@ -92,6 +95,7 @@ class RunIndex {
   /// Whether the files of a run, when they were last looked at, had these contents.
   bool has_contents(const std::string& name, const std::string& contents);
   void store(const std::string& name, const std::string& contents, const ReadRun& read);
+  nlohmann::ordered_json known_summary(const std::string& name);
   Page page_of(const Asked& asked, std::unique_lock<std::mutex>& lock, std::chrono::milliseconds patience);
   std::vector<RunOfItem> complete_runs_of_item(const std::string& serial_number);
   std::vector<std::string> names(std::string_view query);

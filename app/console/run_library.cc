@@ -190,15 +190,6 @@ std::optional<std::filesystem::path> RunLibrary::find_measurement(const std::str
   return file_in(folder_, name, kMeasurement);
 }
 
-/// Names the simulated instruments of a run in the folder, as a list shows them; null: none, or no such run.
-Json RunLibrary::simulated_in(const std::string& name) {
-  PageAsked asked;
-  asked.search = name;
-  for (Json& run : index_.page(asked, kPatience).runs)
-    if (run.at("name") == name) return std::move(run["simulated"]);
-  return nullptr;
-}
-
 Json RunLibrary::measurements() {
   std::vector<Json> list;
   std::error_code error;
@@ -213,8 +204,10 @@ Json RunLibrary::measurements() {
       json["items"] = measurement.items;
       json["runs"] = measurement.runs.size();
       json["verdict"] = kept_verdict(path, std::string(kDefaultEstimator));
-      json["simulated"] =
-          measurement.runs.empty() ? Json(nullptr) : simulated_in(measurement.runs.front().path.filename());
+      const Json first = measurement.runs.empty()
+                             ? Json(nullptr)
+                             : index_.summary(measurement.runs.front().path.filename().string());
+      json["simulated"] = first.is_null() ? Json(nullptr) : first.value("simulated", Json(nullptr));
     } catch (const std::exception& problem) {
       json["why"] = problem.what();
     }

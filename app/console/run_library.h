@@ -75,8 +75,6 @@ class RunLibrary {
  private:
   static constexpr std::chrono::milliseconds kPatience{500};
 
-  nlohmann::ordered_json simulated_in(const std::string& name);
-
   std::filesystem::path folder_;
   RunIndex index_;
 };

@@ -332,6 +332,10 @@ bool can_sweep_from(Angle at, const SweepTravel& way, double rate_deg_per_s) {
   return lead_s >= 0.0 && lead_s <= kLongestDetourS;
 }
 
+double readings_of_step(const ProtocolConfig& config, double rate_deg_per_s, double rate_hz) {
+  return rate_hz * config.step.deg() / std::abs(rate_deg_per_s);
+}
+
 bool has_two_faces(const std::vector<PlannedAngle>& plan) {
   return std::ranges::any_of(plan, [](const PlannedAngle& angle) { return angle.face == 2; });
 }

@@ -51,6 +51,8 @@ std::size_t end_of_sweep(const std::vector<PlannedAngle>& plan, std::size_t posi
 
 /// Fewest readings of a step in a sweep that a plan accepts.
 inline constexpr double kLeastReadingsOfStep = 8.0;
+/// Readings that fall on a step that the stage passes at a rate of either sign.
+double readings_of_step(const ProtocolConfig& config, double rate_deg_per_s, double rate_hz);
 
 /// From where to where the axis is turned in a sweep: over all its steps, with the way that it needs to reach
 /// its rate and to leave it, a quarter of a second at that rate before the first step, and the way that the

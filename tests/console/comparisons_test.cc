@@ -5,13 +5,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <array>
 #include <cstddef>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
+#include "protocol/quantities/output_names.h"
 #include "protocol/record/sha256.h"
 #include "tests/console/console_fixture.h"
 
@@ -22,9 +22,6 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 using Json = nlohmann::json;
-
-constexpr std::array<const char*, 9> kSymbols{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                              "phi_wu", "O_u", "O_v", "O_w"};
 
 /// A comparison of three in the folder of the runs; every value begins with the digits 0.7391.
 class ComparisonsTest : public ConsoleTest {
@@ -40,9 +37,9 @@ class ComparisonsTest : public ConsoleTest {
       std::string table =
           "# response_unit: V\n# item_serial_number: 17\n"
           "quantity,value,s_u,s_v,s_w,phi_uv,phi_vw,phi_wu,O_u,O_v,O_w\n";
-      for (std::size_t i = 0; i < kSymbols.size(); ++i) {
-        table += std::string(kSymbols[i]) + ",0.7391" + name[3];
-        for (std::size_t k = 0; k < kSymbols.size(); ++k) table += i == k ? ",1e-8" : ",0";
+      for (std::size_t i = 0; i < kIntrinsicSymbols.size(); ++i) {
+        table += std::string(kIntrinsicSymbols[i]) + ",0.7391" + name[3];
+        for (std::size_t k = 0; k < kIntrinsicSymbols.size(); ++k) table += i == k ? ",1e-8" : ",0";
         table += "\n";
       }
       test::write_file(runs() / (std::string(name) + ".csv"), table);

@@ -2,28 +2,23 @@
 // shown here.
 import {byId, element, scrollable, table, DASH} from '/text.js';
 import {said} from '/said.js';
-import {fetched} from '/fetched.js';
+import {fetchJson} from '/runs.js';
 import {timeElement} from '/time.js';
 import {t} from '/language.js';
 
 const HASH_DIGITS = 16;  // Shown of a SHA-256; its title has all.
 
-async function ask(path) {
-  const response = await fetched(path);
-  if (!response.ok) throw new Error((await response.text()).trim());
-  return response.json();
-}
 const failed = (error) => element('p', {role: 'alert', class: 'grade-problem'}, said(error.message));
 
 // Whether the link to this view is offered.
 export async function offerComparisons() {
-  byId('to-comparisons').hidden = await ask('/comparisons').then((list) => list.length === 0, () => true);
+  byId('to-comparisons').hidden = await fetchJson('/comparisons').then((list) => list.length === 0, () => true);
 }
 
 export async function showComparisons() {
   const body = byId('comparisons-body');
   try {
-    const list = await ask('/comparisons');
+    const list = await fetchJson('/comparisons');
     body.replaceChildren(...(list.length ? list.map(card) : [element('p', {}, t('No protocol of a comparison lies in the folder of the runs.'))]));
   } catch (error) {
     body.replaceChildren(failed(error));
@@ -58,7 +53,7 @@ function stateOf({state, planned, committed_utc: committed, withdrawn}) {
 // The verdict, which takes the console seconds, with the link to the report.
 function outcomeOf(file) {
   const address = `/comparisons/${encodeURIComponent(file)}`, holder = element('div', {class: 'outcome-of'}, element('p', {role: 'status'}, t('The results are being analysed.')));
-  ask(`${address}/outcome`).then(({agree, verdict}) => holder.replaceChildren(
+  fetchJson(`${address}/outcome`).then(({agree, verdict}) => holder.replaceChildren(
     element('p', {class: agree ? 'grade-good' : 'grade-problem'}, element('strong', {}, said(verdict))),
     element('p', {}, element('a', {href: `${address}/draft_a.html`, download: `${file.replace(/\.toml$/, '')}-draft-a.html`}, t('Draft A of the report (HTML)')))), (error) => holder.replaceChildren(failed(error)));
   return holder;

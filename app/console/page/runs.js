@@ -204,18 +204,21 @@ export function statesMayHaveChanged(resume) {
   else if (location.hash.startsWith('#runs/')) showAgain?.();
 }
 
-// item: its number; absent: the first that was not left out.
-export async function showRun(name, item, part, {again = false} = {}) {
+// The data of a page in place of the list; none if another view was chosen meanwhile, or if the error is shown.
+async function resultOf(kind, name, item) {
   showAgain = null;
   byId('run-list').hidden = true;
   clearCharts();
-  const detail = byId('run-detail');
-  let data;
   try {
-    data = await askForView(`/runs/${encoded(name)}${item ? `/items/${encoded(item)}` : ''}/result`, detail, t`Reading and analysing ${name}`);
+    return await askForView(`/${kind}/${encoded(name)}${item ? `/items/${encoded(item)}` : ''}/result`, byId('run-detail'), t`Reading and analysing ${name}`);
   } catch (error) {
     return say('run-detail', error);
   }
+}
+
+// item: its number; absent: the first that was not left out.
+export async function showRun(name, item, part, {again = false} = {}) {
+  const data = await resultOf('runs', name, item), detail = byId('run-detail');
   if (!data) return;
   const {run, results} = data;
   if (run.state !== 'complete') showAgain = () => showRun(name, item, '', {again: true});
@@ -251,22 +254,13 @@ export async function showRun(name, item, part, {again = false} = {}) {
 
 // A measurement of several runs: its joint result, and each run with what it states alone. item: from 1; absent: the first.
 export async function showMeasurement(name, item) {
-  showAgain = null;
-  byId('run-list').hidden = true;
-  clearCharts();
-  const detail = byId('run-detail');
-  let data;
-  try {
-    data = await askForView(`/measurements/${encoded(name)}${item ? `/items/${encoded(item)}` : ''}/result`, detail, t`Reading and analysing ${name}`);
-  } catch (error) {
-    return say('run-detail', error);
-  }
+  const data = await resultOf('measurements', name, item);
   if (!data) return;
   const {measurement, results: [result]} = data, {runs} = measurement;
   const whole = {name: measurement.name, state: 'complete', simulated: runs.find(({simulated}) => simulated)?.simulated};
   const several = measurement.items > 1;
   const others = Array.from({length: several ? measurement.items : 0}, (_, k) => [k ? ', ' : '', element('a', {href: `#measurements/${encoded(name)}/${k + 1}`, 'aria-current': k + 1 === data.item ? 'page' : false}, t`item ${k + 1}`)]).flat();
-  detail.replaceChildren(
+  byId('run-detail').replaceChildren(
     element('p', {class: 'bar', id: 'run-head'}, element('a', {href: '#runs', class: 'no-print'}, t('All runs')), element('strong', {id: 'run-name'}, measurement.name), element('span', {}, ...others)),
     verdict(result, whole),
     card(several ? t`Joint result of item ${data.item}` : t('Joint result of all runs'), answer(result, data.dominates)),

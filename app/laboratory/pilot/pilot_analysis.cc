@@ -253,7 +253,7 @@ std::vector<ArtefactMeasurement> artefact_measurements(PilotAnalysis& analysis) 
   return list;
 }
 
-/// Those of the named participants that take part.
+/// Finds the named participants among those that take part.
 std::vector<std::size_t> places_of(const PilotAnalysis& analysis, const std::vector<std::string>& names) {
   std::vector<std::size_t> places;
   for (std::size_t i = 0; i < analysis.participants.size(); ++i)

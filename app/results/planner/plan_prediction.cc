@@ -85,9 +85,9 @@ RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protoco
   for (std::size_t i = 0; i < plan.size(); ++i) {
     const PlannedAngle& angle = plan[i];
     DwellRecord dwell = planned_dwell(angle);
-    const double readings =
-        angle.sweep > 0 ? protocol.step.deg() / std::abs(angle.rate_deg_per_s) * reading_rate_hz(bench)
-                        : means.at_rest;
+    const double readings = angle.sweep > 0
+                                ? readings_of_step(protocol, angle.rate_deg_per_s, reading_rate_hz(bench))
+                                : means.at_rest;
     dwell.count = static_cast<std::int64_t>(readings);
     dwell.time_s = times[i];
     if (dwell.motion) dwell.motion->u_angle_deg = assumed_u_angle_deg(angle);

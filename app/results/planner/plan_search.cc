@@ -49,11 +49,9 @@ std::vector<ProtocolConfig> sweeps_to_try(const PlanningBench& bench) {
       if (std::ranges::find(tried, protocol) == tried.end()) tried.push_back(protocol);
     }
   }
+  const double rate_hz = config.items.front().accelerometer.settings.rate_hz;
   std::erase_if(tried, [&](const ProtocolConfig& each) {
-    return std::ranges::any_of(config.items, [&](const BenchItemConfig& item) {
-      return item.accelerometer.settings.rate_hz * each.step.deg() / std::ranges::max(each.rate_deg_per_s) <
-             kLeastReadingsOfStep;
-    });
+    return readings_of_step(each, std::ranges::max(each.rate_deg_per_s), rate_hz) < kLeastReadingsOfStep;
   });
   return tried;
 }

@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/quantities/output_names.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/readings_csv.h"
@@ -28,8 +29,6 @@ using testing::HasSubstr;
 using testing::Not;
 using Json = nlohmann::json;
 
-constexpr std::array<const char*, 9> kSymbols{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
-                                              "phi_wu", "O_u", "O_v", "O_w"};
 constexpr std::array<double, 9> kTruth{0.1, 0.11, 0.12, 89.9, 90.2, 90.05, 0.01, -0.02, 0.03};
 constexpr std::array<double, 9> kU{2e-6, 2e-6, 2e-6, 1e-3, 1e-3, 1e-3, 5e-6, 5e-6, 5e-6};
 
@@ -74,7 +73,7 @@ class PilotCommand : public ProgramTest {
                        "\nquantity,value,s_u,s_v,s_w,phi_uv,phi_vw,phi_wu,O_u,O_v,O_w\n";
     for (std::size_t i = 0; i < (made.last_quantity ? 9U : 8U); ++i) {
       const auto scaled = [&](std::size_t k) { return k < 3 || k > 5 ? made.scale : 1.0; };
-      text += std::string(kSymbols[i]) + "," +
+      text += std::string(kIntrinsicSymbols[i]) + "," +
               number((made.values[i] + made.error * kU[i] * normal(engine)) * scaled(i));
       for (std::size_t k = 0; k < 9; ++k)
         text += "," + number((i == k ? 1.0 : 0.2) * kU[i] * kU[k] * scaled(i) * scaled(k));
@@ -220,10 +219,11 @@ TEST_F(PilotCommand, CompareSaysTheSameNumbers) {
     const Json& pair = json["pairs"][k];
     const Json& here = pilots["participants"][0]["pairs"][k];
     for (std::size_t q = 0; q < 9; ++q) {
-      const Json& property = pair["properties"][kSymbols[q]];
+      const Json& property = pair["properties"][std::string(kIntrinsicSymbols[q])];
       // compare has second minus first.
       EXPECT_NEAR(property["difference"].get<double>(), -here["differences"][q].get<double>(), 1e-15);
-      same(property["standard_uncertainty"], std::sqrt(here["covariance"][q][q].get<double>()), kSymbols[q]);
+      same(property["standard_uncertainty"], std::sqrt(here["covariance"][q][q].get<double>()),
+           std::string(kIntrinsicSymbols[q]));
       same(property["e_n"],
            -here["differences"][q].get<double>() / here["expanded_uncertainties"][q].get<double>(), "E_n");
     }
